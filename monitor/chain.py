@@ -41,6 +41,9 @@ from monitor.sampling.gate import FlightGate, GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
 
+_LATELY_NS = 10_000_000_000
+"""An alarm raised no longer before an impostor is explained by it: its findings are counted over as long."""
+
 
 class CommandRun(NamedTuple):
     """n samples in command units: fault, isolated and sd (n, a); the smoothed command that each fault scales (n,)."""
@@ -240,6 +243,7 @@ class ObserverChain:
         shares = {rule.channel: rule.healthy / rule.threshold for rule in profile.alarms if rule.threshold > 0.0}
         self._healthy = np.array([shares.get(name, 0.0) for name in names])
         self._excited = [index for index, channel in enumerate(profile.faults) if channel.kind == "actuator"]
+        self._actuators = {channel.name for channel in profile.faults if channel.input is not None}
         self._excuses = excuses or Excuses(())
         # Faults first, then the alarm of what no fault explains: the order in which a row is processed.
         rules = sorted(profile.alarms, key=lambda rule: rule.kind == "residual")
@@ -306,6 +310,22 @@ class ObserverChain:
         active = [alarm for alarm in self._alarms if alarm.state.active and alarm.rule.channel == channel]
         if self._close(active, time_ns, vehicle_ns, why):
             self._sampler.restart()
+
+    def distrust(self, is_forged: bool, time_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
+        """Let a second sender explain what sensors show from now on, and lately did, or no longer; return the events.
+
+        An actuator's alarm is raised whoever sends: a forged command must not hide that it fails.
+        """
+        events = []
+        for alarm in self._alarms:
+            channel = alarm.rule.channel
+            if channel in self._actuators or not self._excuses.distrust(channel, alarm.state, is_forged):
+                continue
+            if is_forged and alarm.state.active and 0 <= time_ns - alarm.since_ns < _LATELY_NS:
+                events += self._close([alarm], time_ns, vehicle_ns, "the values of a second sender explain it")
+                listed = self._excuses.explained(alarm.rule.channel, time_ns, vehicle_ns, alarm.state)
+                events += [] if listed is None else [listed]
+        return events
 
     def _close(self, alarms: Sequence[Alarm], time_ns: int, vehicle_ns: int, why: str) -> list[AlarmEvent]:
         events = [alarm.close(time_ns, vehicle_ns, why) for alarm in alarms]
@@ -495,7 +515,7 @@ def alarm_events(runs: Sequence[ChainRun], excuses: Excuses) -> list[AlarmEvent]
             samples = run.estimates.samples
             late_ns = max(0, int(samples.known_ns[row] - samples.vehicle_time_ns[row]))
             times_ns = int(samples.time_ns[row]) + late_ns, int(samples.vehicle_time_ns[row]) + late_ns
-            listed = excuses.explained(run.alarms[alarm].rule.channel, *times_ns)
+            listed = excuses.explained(run.alarms[alarm].rule.channel, *times_ns, run.alarms[alarm].state)
             events.extend([] if listed is None else [listed])
             return
         event = run.event(row, alarm, code)

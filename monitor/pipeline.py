@@ -102,7 +102,8 @@ class Pipeline:
         self.profile = profile
         self._clock = VehicleClock()
         self._phase = FlightPhase(None if force else profile.identity)
-        self._excuses = Excuses(profile.excuses)
+        self._link = LinkAlarms(self.vehicle)
+        self._excuses = Excuses(profile.excuses, self._link.affect)
         self._chains = [
             ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._excuses)
             for observer in profile.observers
@@ -112,7 +113,6 @@ class Pipeline:
         if any(observer.supply is not None for observer in profile.observers):
             self._wanted |= {BATTERY_MESSAGE}
         self._stale = StaleAlarm(self.vehicle, profile.stale_s)
-        self._link = LinkAlarms(self.vehicle)
         self._commands = CommandWatch()
         self._blind = BlindAlarm(self.vehicle, self._chains)
         self._desk = AlarmDesk(self.vehicle, DeskRule(), general_of(profile.excuses))
@@ -121,6 +121,7 @@ class Pipeline:
         self._interests = self.interests
         self._down_ns: int | None = None  # since when the vehicle reports that its flight is over
         self._driven_ns: int | None = None  # when to compare commands with the report that it does not fly
+        self._forged: Sequence[str] = ()  # messages that have two senders by their values
         self._numbered_ns = 0  # until when sequence numbers show two senders
         self._flown_ns = 0  # when it last reported to fly
         self.foreign = 0
@@ -325,7 +326,7 @@ class Pipeline:
         shelved_ns = self._desk.due_ns
         blind_ns = self._blind.due_ns(self._flies(), start_ns)
         contested_ns = min(
-            (ns for ns in (self._clock.contested_ns, self._clock.split_ns, self._numbered_ns) if start_ns < ns),
+            (ns for ns in (self._clock.contested_ns, *self._clock.splits.values(), self._numbered_ns) if start_ns < ns),
             default=flood_ns,
         )
         if self._driven_ns is not None:
@@ -419,9 +420,14 @@ class Pipeline:
 
     def _contradict(self, now_ns: int) -> list[AlarmEvent]:
         """Follow what arrived lately that two senders must have sent; return the events that a change causes."""
+        before, self._forged = self._forged, sorted(n for n, until in self._clock.splits.items() if now_ns < until)
         certain = self._contradictions(now_ns)
         self.contradictions = [*certain, *[_TWICE_NUMBERED] * (now_ns < self._numbered_ns)]
-        return self._link.contradict(self.contradictions, now_ns, "critical" if certain else "warning")
+        events = self._link.contradict(self.contradictions, now_ns, "critical" if certain else "warning")
+        if self._forged != before:
+            for chain in self._chains:
+                events += chain.distrust(not chain.interests.isdisjoint(self._forged), now_ns, self._clock.newest_ns)
+        return events
 
     def _contradictions(self, now_ns: int) -> list[str]:
         """Return what one sender cannot have sent, a sentence each."""
@@ -431,9 +437,8 @@ class Pipeline:
         if now_ns < self._clock.contested_ns:
             apart_s = abs(self._clock.rival_ns) / 1e9
             found.append(f"its messages were stamped by two clocks, {apart_s:.1f} s apart")
-        if now_ns < self._clock.split_ns:
-            found.append(f"its {self._clock.split} came more often than before, with values of two senders by turns")
-        return found
+        by_turns = "came more often than before, with values of two senders by turns"
+        return [*found, *(f"its {name} {by_turns}" for name in self._forged)]
 
     def _flight(self) -> tuple[bool, bool]:
         """Return whether evidence is expected, and whether what arrives contradicts itself."""

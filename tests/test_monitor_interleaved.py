@@ -77,6 +77,41 @@ def test_values_of_two_senders_by_turns_are_an_impostor(
     assert first.time_ns - flight[0].received_ns < (START_S + 2.0) * 1e9
 
 
+@pytest.mark.parametrize(
+    ("name", "changes", "every", "limit_s"),
+    [
+        ("ATTITUDE", {"roll": 0.2}, 100, 3.0),
+        ("HIGHRES_IMU", {"xgyro": 0.3}, 20, 1.0),
+        ("GPS_RAW_INT", {"lat": 500}, 20, 5.0),
+    ],
+)
+def test_a_forged_value_now_and_then_is_an_impostor(
+    profile: Profile, flight: list[Message], name: str, changes: Mapping[str, float], every: int, limit_s: float
+) -> None:
+    first = impostors(profile, attacked(flight, name, changes, every, 0.45))[0]
+    assert f"{name} came more often than before" in first.message
+    assert first.time_ns - flight[0].received_ns < (START_S + limit_s) * 1e9
+
+
+def test_sensors_are_not_accused_beside_the_impostor_but_listed_in_its_alarm(
+    profile: Profile, flight: list[Message]
+) -> None:
+    events = events_of(profile, attacked(flight, "HIGHRES_IMU", {"xgyro": 0.3}, 1, 0.45))
+    assert {event.channel for event in events if event.state == "raised"} == {"impostor"}
+    assert any(event.message.endswith("; affected: gyro_x") for event in events if event.channel == "impostor")
+
+
+def test_a_sensor_that_was_accused_before_the_impostor_was_known_is_cleared(
+    profile: Profile, flight: list[Message]
+) -> None:
+    events = events_of(profile, attacked(flight, "GPS_RAW_INT", {"vel": 300}, 5, 0.45))
+    (gps,) = (event for event in events if event.channel == "gps_north" and event.state == "cleared")
+    assert gps.message == "the values of a second sender explain it"
+    assert (
+        "affected: gps_north" in impostors(profile, attacked(flight, "GPS_RAW_INT", {"vel": 300}, 5, 0.45))[1].message
+    )
+
+
 def thinned(flight: list[Message], keep: Callable[[int, float], bool]) -> list[Message]:
     seen: Counter[str] = Counter()
     kept = []

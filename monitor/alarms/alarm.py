@@ -26,7 +26,7 @@ and the events that it causes.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 from adapters.sample import Samples
@@ -220,6 +220,12 @@ def retuned(rule: AlarmRule, values: Mapping[str, object]) -> AlarmRule:
     return rule if changed == rule else replace(changed, false_per_100h=None, excluded_per_100h=None)
 
 
+def with_affected(message: str, channels: Sequence[str]) -> str:
+    """Return an alarm's sentence with the channels that show something because of the alarm's cause."""
+    own = message.partition(_AFFECTED)[0]
+    return f"{own}{_AFFECTED}{', '.join(channels)}" if channels else own
+
+
 class Alarm:
     """One channel's alarm: its rule, its state and the events that it causes.
 
@@ -232,7 +238,7 @@ class Alarm:
         self.set_rule(rule)
         self._vehicle = vehicle
         self._id = ""
-        self._since_ns = 0
+        self.since_ns = 0
         self._last: AlarmEvent | None = None
         self._affected: list[str] = []
 
@@ -246,7 +252,7 @@ class Alarm:
         if event.state == "cleared":
             self.state.deactivate()
             return
-        self._id, self._since_ns, self._last = event.id, event.since_ns, event
+        self._id, self.since_ns, self._last = event.id, event.since_ns, event
         estimate = event.estimate or 0.0
         self.state.resume(
             estimate=estimate,
@@ -280,7 +286,7 @@ class Alarm:
         if code == RAISED:
             self._affected.clear()
             self._id = alarm_id(self._vehicle, rule.observer, rule.channel, time_ns)
-            self._since_ns = time_ns + late_ns
+            self.since_ns = time_ns + late_ns
         if command is not None:
             relative = relative_loss(now.shown, command)
         state = _STATES[code]
@@ -289,8 +295,8 @@ class Alarm:
             message += f": {battery_text(*samples.u[row, 1:])}"
         if now.recurring and code != CLEARED:
             message = f"{message} (it comes and goes)"
-        if self._affected and code != CLEARED:
-            message = f"{message}{_AFFECTED}{', '.join(self._affected)}"
+        if code != CLEARED:
+            message = with_affected(message, self._affected)
         return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative, sd)
 
     def affect(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
@@ -299,7 +305,7 @@ class Alarm:
         if not self.state.active or last is None or channel in self._affected:
             return None
         self._affected.append(channel)
-        message = f"{last.message.partition(_AFFECTED)[0]}{_AFFECTED}{', '.join(self._affected)}"
+        message = with_affected(last.message, self._affected)
         vehicle_ms = vehicle_ns // 1_000_000
         self._last = replace(last, state="updated", message=message, time_ns=time_ns, vehicle_time_ms=vehicle_ms)
         return self._last
@@ -328,7 +334,7 @@ class Alarm:
             threshold=now.size,
             time_ns=time_ns,
             vehicle_time_ms=vehicle_ns // 1_000_000,
-            since_ns=self._since_ns,
+            since_ns=self.since_ns,
             peak=now.peak,
             message=message,
             seq=UNNUMBERED,

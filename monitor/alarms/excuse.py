@@ -47,9 +47,14 @@ class ExcuseRule:
 
 
 class Excuses:
-    """Follows a vehicle's alarms and tells the alarms that they excuse by the profile's rules."""
+    """Follows a vehicle's alarms and tells the alarms that they excuse by the profile's rules.
 
-    def __init__(self, rules: Sequence[ExcuseRule]) -> None:
+    ``impostor`` is what the alarm of a second sender is told that it explains.
+    """
+
+    def __init__(self, rules: Sequence[ExcuseRule], impostor: Affect = lambda *_: None) -> None:
+        self._affect_impostor = impostor
+        self._forged: set[AlarmState] = set()
         self._rules: dict[str, list[ExcuseRule]] = {}
         for rule in rules:
             for channel in rule.channels:
@@ -75,14 +80,26 @@ class Excuses:
         if affect is not None:
             self._affect.setdefault(channel, []).append(affect)
 
-    def explained(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
-        """Return the event by which an active alarm lists a channel that it explains; None where none does."""
+    def explained(
+        self, channel: str, time_ns: int, vehicle_ns: int, alarm: AlarmState | None = None
+    ) -> AlarmEvent | None:
+        """Return the event by which an active alarm lists the channel of one that it explains; None where none does."""
+        if alarm in self._forged:
+            return self._affect_impostor(channel, time_ns, vehicle_ns)
         rules = [rule for rule in self._rules.get(channel, ()) if not rule.same_cause]
         for cause in (cause for rule in rules for cause in rule.by if self._active.get(cause)):
             for affect in self._affect.get(cause, ()):
                 if (event := affect(channel, time_ns, vehicle_ns)) is not None:
                     return event
         return None
+
+    def distrust(self, channel: str, alarm: AlarmState, is_forged: bool) -> bool:
+        """Excuse an alarm because of forged values from now on, or no longer; return whether that is a change."""
+        if is_forged == (alarm in self._forged):
+            return False
+        (self._forged.add if is_forged else self._forged.discard)(alarm)
+        self._set(channel, [alarm])
+        return True
 
     def follow(self, event: AlarmEvent) -> None:
         """Follow an event of any channel: the rows after it are excused accordingly."""
@@ -95,27 +112,26 @@ class Excuses:
         for channel, alarms in self._alarms.items():
             shared = channel == event.channel and len(alarms) > 1
             if shared or any(event.channel in rule.by for rule in self._rules.get(channel, ())):
-                now, spans = self._excuse(channel)
-                for alarm in alarms:
-                    alarm.set_excuse(now, spans)
-                self._excuse_jumps(channel, event, now, spans)
+                jumps = self._jumps.get(channel, ())
+                # The jump at the end of a fault that another observer has followed is its end.
+                followed = event.channel == channel and event.observer not in {observer for observer, _ in jumps}
+                if followed and event.state == "cleared":
+                    self._lasting_cleared_ns[channel] = self._cleared_ns[channel]
+                self._set(channel, alarms)
 
-    def _excuse_jumps(self, channel: str, event: AlarmEvent, now: bool, spans: NDArray[np.int64]) -> None:
-        """Take the jump at the end of a fault that another observer has followed for its end."""
-        jumps = self._jumps.get(channel, ())
-        followed = event.channel == channel and event.observer not in {observer for observer, _ in jumps}
-        if followed and event.state == "cleared":
-            self._lasting_cleared_ns[channel] = self._cleared_ns[channel]
-        if not jumps or channel not in self._lasting_cleared_ns:
-            return
-        cleared_ns = self._lasting_cleared_ns[channel]
-        spans = np.concatenate([spans, np.array([[cleared_ns, cleared_ns + round(HOLD_S * 1e9)]], np.int64)])
-        for _, alarm in jumps:
-            alarm.set_excuse(now, spans)
+    def _set(self, channel: str, alarms: Sequence[AlarmState]) -> None:
+        """Let alarms of a channel know when they are excused."""
+        now, spans = self._excuse(channel)
+        ended = spans
+        if (cleared_ns := self._lasting_cleared_ns.get(channel)) is not None:
+            ended = np.concatenate([spans, np.array([[cleared_ns, cleared_ns + round(HOLD_S * 1e9)]], np.int64)])
+        jumps = {alarm for _, alarm in self._jumps.get(channel, ())}
+        for alarm in alarms:
+            alarm.set_excuse(now or alarm in self._forged, ended if alarm in jumps else spans)
 
     def _excuse(self, channel: str) -> tuple[bool, NDArray[np.int64]]:
         """Return whether a channel is excused whenever, and the spans of vehicle time in which it is (m, 2), ns."""
-        if len(self._alarms[channel]) > 1 and self._active.get(channel):
+        if len(self._alarms.get(channel, ())) > 1 and self._active.get(channel):
             return True, np.empty((0, 2), np.int64)
         spans = []
         for rule in self._rules.get(channel, ()):

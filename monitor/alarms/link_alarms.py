@@ -11,6 +11,7 @@ from dataclasses import replace
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import LATEST_NS, Message
 from adapters.source import LINK, MAVLINK
+from monitor.alarms.alarm import with_affected
 from monitor.alarms.command_watch import CommandFinding
 from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, fixed_rule_event
 
@@ -50,6 +51,7 @@ class LinkAlarms:
     def __init__(self, vehicle: str) -> None:
         self._vehicle = vehicle
         self._active: dict[str, AlarmEvent] = {}
+        self._affected: list[str] = []  # channels that the active impostor explains
         self._counts: dict[str, int] = {}
         self._baseline = 0
         self._last_ns: dict[str, int] = {}  # of a wrong signature, of a command
@@ -101,10 +103,22 @@ class LinkAlarms:
             return [] if active is None else [self._clear(IMPOSTOR, now_ns, "nothing contradicts itself any more")]
         text = f"a second sender speaks in the vehicle's name: {'; '.join(contested)}"
         if active is None:
+            self._affected = []
             return [self._raise(IMPOSTOR, "security", severity, now_ns, None, "", text)]
+        text = with_affected(text, self._affected)
         if active.message == text:
             return []
         return [self._event(IMPOSTOR, replace(active, severity=severity), "updated", now_ns, None, text)]
+
+    def affect(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
+        """Say that forged values explain what a channel shows; return the event, None where that is known."""
+        active = self._active.get(IMPOSTOR)
+        if active is None or channel in self._affected:
+            return None
+        self._affected.append(channel)
+        self._vehicle_ms = vehicle_ns // 1_000_000
+        text = with_affected(active.message, self._affected)
+        return self._event(IMPOSTOR, active, "updated", max(time_ns, active.time_ns), None, text)
 
     def quiet(self, now_ns: int) -> list[AlarmEvent]:
         """Let Unix time come to ``now_ns``; return the events that this causes."""

@@ -4,6 +4,8 @@
 cdef enum:
     # Findings that are an attack where they come close together.
     FINDINGS = 8
+    # Intruders among rows that keep their period that are one: as many as stamps of another clock (core/sampling.pyx).
+    INTRUDERS = 3
 
 
 cdef class Interleaved:
@@ -13,6 +15,7 @@ cdef class Interleaved:
     cdef long long _taken
     cdef long long[FINDINGS] _found
     cdef long long[FINDINGS] _found_at
+    cdef long long[INTRUDERS] _intruded
     cdef long long* _stamps
     cdef double* _rows
     cdef double* _periods
@@ -24,6 +27,8 @@ cdef class Interleaved:
     cdef bint find(self, long long received) noexcept
     cdef bint lately(self, int which, long long received) noexcept
     cdef bint contradicts(self, int at) noexcept
+    cdef bint intrude(self, int before, int after, long long stamp, const double* row, long long received) noexcept
+    cdef int period_rows(self, int before, int after, int* own) noexcept
     cdef double usual(self, int column, int lag) noexcept
     cdef double off(self, int at, int lag, int column) noexcept
     cdef double step(self, int first, int second, int column) noexcept

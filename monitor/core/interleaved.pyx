@@ -8,6 +8,9 @@ both by more than they from each other, and by much more than rows usually diffe
 them: over the last seconds, and now, where senders take turns of the second, third or fourth on either side. Two
 different rows of one time are another sender's, too.
 
+A forged value now and then is told by the rows that keep their period: one that comes between two of them, and is
+several times further from the line between these than any of them from that between those around it, is another's.
+
 What is usual is followed slowly, and not while there are findings: the period by a median, differences by a mean of
 those that are not zero, as values may be held or counted in steps. A link that changes its rate, or two radios that
 bring the same vehicle's values, duplicates or not, bring no values that contradict each other.
@@ -33,6 +36,10 @@ cdef double FAR = 8.0
 cdef double AGREE = 0.5
 # Longest way between the neighbours, periods: one is what an attack leaves, two what a single sender has.
 cdef double EXTRA = 1.5
+# Share of a period by which the steps of a stream that keeps it differ: PX4's loop of 4 ms makes 8 to 12 ms of 10.
+cdef double JITTER = 0.25
+# Rows that keep the period around an intruder, at least. Chosen: four have been compared with those around them.
+cdef int KEPT = 6
 # Time in which what is usual follows a change, nanoseconds. Chosen: as long as the window of findings.
 cdef double FOLLOW = 1e10
 # Times the usual difference, as which a larger one is followed: chosen, so that few forged ones move it little.
@@ -91,7 +98,10 @@ cdef class Interleaved:
             if other and self._usual == 0.0:
                 # It always brings several of one time: what of several devices came under one name.
                 self._plural = True
-            return other and not self._plural and self.find(received)
+            if not other or self._plural:
+                return False
+            other = self.intrude(place - 1, place - 1, stamp, row, received)
+            return self.find(received) or other
         if place == 0 and self._count == ROWS:
             return False
         self._taken += 1
@@ -113,9 +123,14 @@ cdef class Interleaved:
             return False
         if self._usual == 0.0:
             self._usual = <double>(self._stamps[ROWS - 1] - self._stamps[0]) / (ROWS - 1)
+        other = self.intrude(
+            JUDGED - 1, JUDGED + 1, self._stamps[JUDGED], self._rows + JUDGED * self._width, received
+        )
         if self.contradicts(JUDGED):
-            return self.find(received)
-        if not self.lately(FINDINGS // 2, received):
+            return self.find(received) or other
+        if other:
+            return True
+        if not self.lately(FINDINGS // 2, received) and not 0 <= received - self._intruded[INTRUDERS - 1] < WINDOW:
             self.follow(JUDGED)
         return False
 
@@ -159,6 +174,53 @@ cdef class Interleaved:
                     return True
         return False
 
+    cdef bint intrude(self, int before, int after, long long stamp, const double* row, long long received) noexcept:
+        """Count a row between two others where it is an intruder; return whether intruders are an attack."""
+        cdef int[ROWS] own
+        cdef double span = <double>(self._stamps[after] - self._stamps[before]), share, most, off
+        cdef int i, k, count
+        if self._usual == 0.0 or (before < after and fabs(span - self._usual) > JITTER * self._usual):
+            return False
+        # Rows that come in every period are those of a link that became faster.
+        if before and self._stamps[before] - self._stamps[before - 1] < (1.0 - JITTER) * self._usual:
+            return False
+        if after + 1 < self._count and self._stamps[after + 1] - self._stamps[after] < (1.0 - JITTER) * self._usual:
+            return False
+        count = self.period_rows(before, after, own)
+        if count < KEPT:
+            return False
+        share = <double>(stamp - self._stamps[before]) / span if before < after else 0.0
+        for i in range(self._width):
+            most = self._typical[i]
+            for k in range(1, count - 1):
+                most = max(most, 0.5 * fabs(self.step(own[k], own[k - 1], i) + self.step(own[k], own[k + 1], i)))
+            off = fabs(turned(row[i] - self._rows[before * self._width + i], self._periods[i])
+                       - share * self.step(before, after, i))
+            if off > FAR * most > 0.0:
+                memmove(self._intruded, self._intruded + 1, (INTRUDERS - 1) * sizeof(long long))
+                self._intruded[INTRUDERS - 1] = received
+                return self._intruded[0] != 0 and 0 <= received - self._intruded[0] < WINDOW
+        return False
+
+    cdef int period_rows(self, int before, int after, int* own) noexcept:
+        """Write the rows, one period apart, that two of them belong to, the newest first; return how many there are."""
+        cdef double period = self._usual, apart, nearest
+        cdef int count = 1, at, next_own
+        own[0] = after
+        if before < after:
+            own[1], count, period = before, 2, <double>(self._stamps[after] - self._stamps[before])
+        while count < ROWS:
+            next_own, nearest = -1, JITTER * period
+            for at in range(own[count - 1]):
+                apart = fabs(<double>(self._stamps[own[count - 1]] - self._stamps[at]) - period)
+                if apart <= nearest:
+                    next_own, nearest = at, apart
+            if next_own < 0:
+                break
+            own[count] = next_own
+            count += 1
+        return count
+
     cdef double usual(self, int column, int lag) noexcept:
         """Return the median of :meth:`off` over the rows."""
         cdef double[ROWS] sizes
@@ -181,9 +243,14 @@ cdef class Interleaved:
 
     cdef double step(self, int first, int second, int column) noexcept:
         """Return the step from one row to another, of a value that wraps the shorter way round."""
-        cdef double step = self._rows[second * self._width + column] - self._rows[first * self._width + column]
-        cdef double period = self._periods[column]
-        if period == 0.0:
-            return step
-        step = fmod(step + 0.5 * period, period)
-        return step + (0.5 * period if step < 0.0 else -0.5 * period)
+        return turned(
+            self._rows[second * self._width + column] - self._rows[first * self._width + column], self._periods[column]
+        )
+
+
+cdef inline double turned(double step, double period) noexcept:
+    """Return a step of a value that wraps, the shorter way round; period 0: it does not."""
+    if period == 0.0:
+        return step
+    step = fmod(step + 0.5 * period, period)
+    return step + (0.5 * period if step < 0.0 else -0.5 * period)

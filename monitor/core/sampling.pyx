@@ -219,17 +219,15 @@ cdef class VehicleClock:
         Unix time until which the clock is contested; 0: it never was.
     rival_ns : int
         By how much the other sender's stamps were ahead when the contest began.
-    split_ns : int
-        Unix time until which a stream is taken to have two senders by its values; 0: none ever was.
-    split : str | None
-        The stream's message.
+    splits : dict[str, int]
+        Messages that have two senders by their values, and until which Unix time each is taken to.
     """
 
     cdef readonly int boot
     cdef readonly nanoseconds newest_ns
     cdef readonly bint running
-    cdef readonly nanoseconds contested_ns, rival_ns, split_ns
-    cdef readonly object split
+    cdef readonly nanoseconds contested_ns, rival_ns
+    cdef readonly dict splits
     cdef bint _has_candidate, _has_doubtful
     # A stamp of another clock and its arrival, and how many of them came since when; whether near ones came after it,
     # also of the channel that the next one is of; when the last near one arrived.
@@ -247,6 +245,7 @@ cdef class VehicleClock:
 
     def __cinit__(self):
         self._run = 1
+        self.splits = {}
 
     def near(self, stamp_ns):
         """Return whether a stamp is close enough to the newest one to need no second opinion."""
@@ -341,9 +340,9 @@ cdef class VehicleClock:
 
     cdef void part(self, name, nanoseconds received):
         """Learn that a message has two senders."""
-        if received >= self.split_ns:
-            self._began, self.split = True, name
-        self.split_ns = received + _CONTEST
+        if received >= self.splits.get(name, 0):
+            self._began = True
+        self.splits[name] = received + _CONTEST
 
     cdef bint _confirmed(self, nanoseconds stamp) noexcept:
         """Return whether the stamp before, which was far from the newest one too, is near this one."""
