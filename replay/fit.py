@@ -152,68 +152,24 @@ def fit_profile(
     vehicle = kind_named(kind)
     if vehicle.needs_model != (model is not None):
         raise UsageError(f"--vehicle {kind}: {'needs' if model is None else 'takes no'} --model MODEL.toml")
-    flights = () if before is None else before.kept.flights
-    stored = [partial(one.batches, before.folder) for one in flights] if before is not None else []
-    sources = kept_logs([*stored, *logs])
-    names = (*(one.name for one in flights), *(log_names or FitRequest(name, logs).names))
-    added: list[tuple[str, Extent]] = []
-    surveyed: list[SurveyedLog] = []
-    for number, (log, log_name) in enumerate(zip(sources, names, strict=True)):
-        if number >= len(flights):
-            added.append((Path(log_name).name, extent_of(log)))
-            _check_new(added[-1], [*((one.name, one.span) for one in flights), *added[:-1]])
-        if not vehicle.needs_model:
-            surveyed.append(survey_log(log_name, log, None if before is None else before.profile.identity))
-            if not force:
-                check_vehicle(vehicle, surveyed)
-        stage(f"read {log_name} ({number + 1} of {len(names)})")
-    if not vehicle.needs_model:
-        sources = [partial(_of_one_vehicle, log) for log in sources]
-    surveys = tuple(one.survey for one in surveyed)
-    request = FitRequest(name, sources, surveys, model, [Path(one).name for one in names], rate_hz)
-    notes: list[str] = []
-    try:
-        fitted, gate = load(vehicle.fit)(request)
-    except UntoldError as error:
-        if any(_is_another(vehicle, one.identity.vehicle_type) for one in surveyed):
-            raise
-        # what the recordings tell of the sensors is no worse for it
-        notes.append(f"{vehicle.watches}: {error}")
-        try:
-            fitted, gate = fit_alone(replace(request, rate_hz=None))
-        except (TelemetryError, ModelError, InfeasibleError):
-            raise error from None
-    if fitted.agreement is not None and (apart := fitted.agreement.left_out):
-        request = request.without(apart)
-        again, gate = load(vehicle.fit)(request)
-        fitted = replace(again, agreement=fitted.agreement)
-    observers: list[Fitted] = [fitted]
-    stage(f"identified, designed and calibrated {fitted.name}")
-    further = {reference.partition(":fit_")[2]: load(reference) for reference in vehicle.further}
-    if vehicle.inertial_too:
-        further[OBSERVER] = fit_inertial
-    for observer, fit in () if notes else further.items():
-        try:
-            if (one := fit(request, gate)) is not None:
-                observers.append(one)
-                stage(f"calibrated and designed {observer}")
-        except (TelemetryError, ModelError, InfeasibleError) as error:
-            notes.append(f"{observer}: {error}")
+    read = _read(vehicle, logs, log_names or FitRequest(name, logs).names, before, force, stage)
+    surveys = tuple(one.survey for one in read.surveyed)
+    request = FitRequest(name, read.logs, surveys, model, read.names, rate_hz)
+    own = _own_observer(vehicle, request, read.surveyed)
+    stage(f"identified, designed and calibrated {own.fitted.name}")
+    further, refused = ((), own.refused) if own.refused else _further_observers(vehicle, own.request, own.gate, stage)
+    observers = (own.fitted, *further)
     warnings = (*_slow(vehicle, surveys, observers), *_hidden(surveys, observers)) if surveys else ()
-    measured = tuple(_measured(one, request, kind, gate) if capability else one for one in observers)
+    measured = tuple(_measured(one, own.request, kind, own.gate) for one in observers)
     stage("measured what will be detected")
-    report = FitReport(kind, measured, tuple(notes), warnings)
-    identity = common_identity(one.identity for one in surveyed)
-    content = profile_content(name, kind, gate, report, identity)
-    edits: list[str] = []
-    merged = content
-    if before is not None:
-        merged, edits = with_edits(content, before.kept.written, before.edited)
+    report = FitReport(kind, measured, refused, warnings)
+    content = profile_content(name, kind, own.gate, report, common_identity(one.identity for one in read.surveyed))
+    merged, edits = (content, []) if before is None else with_edits(content, before.kept.written, before.edited)
     set_aside = write_profile(folder, name, report, merged)
-    new = [(*one, log) for one, log in zip(added, sources[len(flights) :], strict=True)]
     wanted = {channel.message for one in observers for channel in one.source.channels} | FlightPhase.interests
     wanted |= {BATTERY_MESSAGE} if any(one.supply is not None for one in observers) else set()
-    left_out = write_kept(folder, content, rate_hz, flights, new, wanted, update)
+    kept = () if before is None else before.kept.flights
+    left_out = write_kept(folder, content, rate_hz, kept, read.added, wanted, update)
     if model is not None:
         write_file(folder / FOLDER / MODEL, model.read_bytes())
     return replace(report, set_aside=set_aside, edits=tuple(edits), left_out=left_out)
@@ -235,6 +191,92 @@ class _Before(NamedTuple):
     def edited(self) -> dict[str, Any]:
         """The profile's table as it is now."""
         return tomllib.loads(self.profile.files[PROFILE_FILE].decode())
+
+
+class _ReadLogs(NamedTuple):
+    """The recordings of a fit, those first that the profile keeps already; what was surveyed, and what is new."""
+
+    logs: Sequence[BatchSource]
+    names: Sequence[str]
+    surveyed: Sequence[SurveyedLog]
+    added: Sequence[tuple[str, Extent, BatchSource]]
+
+
+def _read(
+    kind: VehicleKind,
+    logs: Sequence[BatchSource],
+    log_names: Sequence[str],
+    before: _Before | None,
+    force: bool,
+    stage: Callable[[str], None],
+) -> _ReadLogs:
+    """Go through each recording once, and refuse what is of another vehicle or there twice."""
+    flights = () if before is None else before.kept.flights
+    stored = [] if before is None else [partial(one.batches, before.folder) for one in flights]
+    sources = kept_logs([*stored, *logs])
+    names = (*(one.name for one in flights), *log_names)
+    added: list[tuple[str, Extent]] = []
+    surveyed: list[SurveyedLog] = []
+    for number, (log, log_name) in enumerate(zip(sources, names, strict=True)):
+        if number >= len(flights):
+            added.append((Path(log_name).name, extent_of(log)))
+            _check_new(added[-1], [*((one.name, one.span) for one in flights), *added[:-1]])
+        if not kind.needs_model:
+            surveyed.append(survey_log(log_name, log, None if before is None else before.profile.identity))
+            if not force:
+                check_vehicle(kind, surveyed)
+        stage(f"read {log_name} ({number + 1} of {len(names)})")
+    if not kind.needs_model:
+        sources = [partial(_of_one_vehicle, log) for log in sources]
+    new = [(*one, log) for one, log in zip(added, sources[len(flights) :], strict=True)]
+    return _ReadLogs(sources, [Path(one).name for one in names], surveyed, new)
+
+
+class _OwnObserver(NamedTuple):
+    """A vehicle's own observer, the rule of its evidence, the flights that agree, and why it is not the kind's own."""
+
+    fitted: Fitted
+    gate: GateRule
+    request: FitRequest
+    refused: tuple[str, ...] = ()
+
+
+def _own_observer(kind: VehicleKind, request: FitRequest, surveyed: Sequence[SurveyedLog]) -> _OwnObserver:
+    """Fit a vehicle's own observer, without flights that disagree with the others; the sensors' where there is none."""
+    try:
+        fitted, gate = load(kind.fit)(request)
+    except UntoldError as error:
+        if any(_is_another(kind, one.identity.vehicle_type) for one in surveyed):
+            raise
+        # what the recordings tell of the sensors is no worse for it
+        try:
+            return _OwnObserver(*fit_alone(replace(request, rate_hz=None)), request, (f"{kind.watches}: {error}",))
+        except (TelemetryError, ModelError, InfeasibleError):
+            raise error from None
+    if fitted.agreement is not None and (apart := fitted.agreement.left_out):
+        request = request.without(apart)
+        again, gate = load(kind.fit)(request)
+        fitted = replace(again, agreement=fitted.agreement)
+    return _OwnObserver(fitted, gate, request)
+
+
+def _further_observers(
+    kind: VehicleKind, request: FitRequest, gate: GateRule, stage: Callable[[str], None]
+) -> tuple[tuple[Fitted, ...], tuple[str, ...]]:
+    """Fit what a kind watches beside its own observer; return the observers, and why others could not be fitted."""
+    further = {reference.partition(":fit_")[2]: load(reference) for reference in kind.further}
+    if kind.inertial_too:
+        further[OBSERVER] = fit_inertial
+    observers: list[Fitted] = []
+    refused: list[str] = []
+    for observer, fit in further.items():
+        try:
+            if (fitted := fit(request, gate)) is not None:
+                observers.append(fitted)
+                stage(f"calibrated and designed {observer}")
+        except (TelemetryError, ModelError, InfeasibleError) as error:
+            refused.append(f"{observer}: {error}")
+    return tuple(observers), tuple(refused)
 
 
 def _of_one_vehicle(log: BatchSource) -> Iterable[Batch]:
