@@ -123,7 +123,7 @@ class EvidenceFlow:
         lost = samples.lost[:, self._inputs :]
         is_lost = bool(lost.any())
         self._lost = tuple(self._labels(lost[-1])) if is_lost else ()
-        restarts = np.flatnonzero(samples.restart)
+        restarts = samples.restart.nonzero()[0]
         if restarts.size:
             restart_ns, again_ns = received(int(position[restarts[-1]])), self.settle_ns + _AFTER_RESTART_NS
             for group in self.groups:
@@ -138,7 +138,7 @@ class EvidenceFlow:
             count += self._seconds.pop()[1]
         self._seconds.append((second, count))
         for group in self.groups:
-            rows = np.flatnonzero(armed & ~lost[:, group.columns].all(axis=1) if is_lost else armed)
+            rows = (armed & ~lost[:, group.columns].all(axis=1) if is_lost else armed).nonzero()[0]
             if rows.size:
                 group.since_ns = group.evidence_ns = received(int(position[rows[-1]]))
                 restarted = restarts.size and restarts[-1] > rows[-1]
@@ -159,6 +159,8 @@ class EvidenceFlow:
         ``any_message`` says whether messages count that never came.
         """
         self._overdue = [now_ns - group.since_ns >= group.granted_ns for group in self.groups]
+        if True not in self._overdue:
+            return []
         never = {name for name, came_ns in self.messages.items() if not came_ns and not any_message}
         if self.overdue:
             return [] if never else [self.reason(now_ns, contested)]

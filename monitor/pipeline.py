@@ -108,7 +108,12 @@ class Pipeline:
             ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._excuses)
             for observer in profile.observers
         ]
+        self._gates = [chain.gate for chain in self._chains]
         self._conditions = make_conditions(profile, self._clock)
+        self._samplers = [chain.sampler for chain in self._chains]
+        if self._conditions is not None:
+            # behind those of the observers
+            self._samplers.append(self._conditions.sampler)
         self._wanted = frozenset[str]().union(*(chain.interests for chain in self._chains))
         if any(observer.supply is not None for observer in profile.observers):
             self._wanted |= {BATTERY_MESSAGE}
@@ -235,11 +240,12 @@ class Pipeline:
 
         The first to send a channel is the vehicle.
         """
-        if not message.source.has_ids:
+        source, is_its = message.source, message.system == self._system != 0
+        if not source.has_ids or (is_its and self._component in (0, message.component)):
             return True
         if not {0, self._system}.isdisjoint(commanded_systems(message)):
             return True
-        if not message.source.is_telemetry:
+        if not source.is_telemetry:
             return message.system == self._system
         if self._component and message.component != self._component:
             return False
@@ -347,12 +353,10 @@ class Pipeline:
         before_ns = self._clock.newest_ns
         for chain in self._chains:
             chain.enter(self._phase)
-        samplers = [chain.sampler for chain in self._chains]
         if self._conditions is not None:
             self._conditions.enter(self._phase)
-            samplers.append(self._conditions.sampler)
         batch = cut(arrivals.batch, start, segment.stop)
-        taken = sample_batch(self._clock, samplers, batch, stops=True)
+        taken = sample_batch(self._clock, self._samplers, batch, stops=True)
         if taken.used < batch.count:
             # The clock is contested from here on, which the next message has to say.
             segment = reach(start + taken.used)
@@ -370,7 +374,6 @@ class Pipeline:
             self._conditions.run(taken.samples[-1], self._phase)
         each = [
             chain.run(samples, position, self._phase, batch)
-            # behind those of the observers there are those of the conditions
             for chain, samples, position in zip(self._chains, taken.samples, taken.position, strict=False)
         ]
         runs = [run for run in each if run is not None]
@@ -398,7 +401,7 @@ class Pipeline:
 
         Asked a second after the report, by when they have stopped where it is true, and every second from then on.
         """
-        phase, gates = self._phase, [chain.gate for chain in self._chains]
+        phase, gates = self._phase, self._gates
         # What turns motors of the profile's vehicle may move surfaces of another.
         if not phase.grounded or self.mismatch is not None:
             phase.driven, self._driven_ns = False, None
@@ -448,8 +451,10 @@ class Pipeline:
         """Return whether evidence is expected: in flight by what the vehicle reports, else by its commands."""
         if not allows(self.profile.gate, self._phase):
             return False
-        airborne = [chain.gate.airborne for chain in self._chains if chain.gate.airborne is not None]
-        return self._phase.landed is not None or (any(airborne) if airborne else self._phase.armed is not False)
+        if self._phase.landed is not None:
+            return True
+        airborne = [gate.airborne for gate in self._gates if gate.airborne is not None]
+        return any(airborne) if airborne else self._phase.armed is not False
 
     def _run_own(self, message: Message) -> list[AlarmEvent]:
         """Process a message that is no telemetry."""

@@ -11,7 +11,7 @@ import numpy as np
 from adapters.batch import Batch, Columns, one_message
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
-from monitor.alarms.command_watch import commanded_systems
+from monitor.alarms.command_watch import COMMANDS, commanded_systems
 from monitor.sampling.phase import FlightPhase
 
 from cpython.buffer cimport PyBUF_STRIDES, Py_buffer, PyBuffer_Release, PyObject_GetBuffer
@@ -290,7 +290,7 @@ cdef bint _is_of(entry, int system, int component):
 
 cdef bint _commands(entry, int system):
     """Return whether a message (or one of columns) commands the vehicle."""
-    targets = commanded_systems(entry)
+    targets = commanded_systems(entry) if entry.name in COMMANDS else ()
     return bool(targets) and (0 in targets or system in targets)
 
 

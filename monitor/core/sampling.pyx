@@ -1712,11 +1712,12 @@ cdef int _read_values(fields, channel, double* out, Py_ssize_t stride, Py_ssize_
 
 cdef int _read_stamps(channel, fields, nanoseconds* out, Py_ssize_t count) except -1:
     """Read the stamps of a stream: its own clock, or the usual ones, the first that holds a number."""
+    names = fields.places if isinstance(fields, RecordFields) else fields
     if channel.clock is not None:
-        path = (channel.clock,) if channel.clock in fields else field_steps(channel.clock)
+        path = (channel.clock,) if channel.clock in names else field_steps(channel.clock)
         return _read_clock(fields, path, channel.clock_unit_ns or CLOCK_UNITS_NS.get(channel.clock, 1), out, count)
     for name, unit_ns in CLOCK_UNITS_NS.items():
-        if name in fields:
+        if name in names:
             _read_clock(fields, (name,), channel.clock_unit_ns or unit_ns, out, count)
     return 0
 

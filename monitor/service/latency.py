@@ -7,7 +7,7 @@ five leading bits and how many follow.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -55,16 +55,14 @@ class LatencyHistogram:
         self._interval_max_ns = 0
         self._interval = LatencyStatistics()
 
-    def add(self, latencies_ns: Iterable[int]) -> None:
+    def add(self, latencies_ns: Sequence[int]) -> None:
         """Count latencies, nanoseconds; below zero (a clock was set back) one counts as zero, above 18 min as that."""
-        counts, largest_ns = self._counts, self._interval_max_ns
-        for given_ns in latencies_ns:
-            latency_ns = min(max(given_ns, 0), _LARGEST_NS)
+        limited_ns = [0 if given < 0 else _LARGEST_NS if given > _LARGEST_NS else given for given in latencies_ns]
+        for latency_ns in limited_ns:
             shift = latency_ns.bit_length() - _LEADING_BITS
-            counts[latency_ns if shift <= 0 else (shift << 4) + (latency_ns >> shift)] += 1
-            self._sum_ns += latency_ns
-            largest_ns = max(largest_ns, latency_ns)
-        self._interval_max_ns = largest_ns
+            self._counts[latency_ns if shift <= 0 else (shift << 4) + (latency_ns >> shift)] += 1
+        self._sum_ns += sum(limited_ns)
+        self._interval_max_ns = max(self._interval_max_ns, *limited_ns, 0)
 
     def end_interval(self) -> LatencyStatistics:
         """Return the statistics since the last call, and begin the next interval."""

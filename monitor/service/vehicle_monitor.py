@@ -195,10 +195,11 @@ class VehicleMonitor:
             self._note_shelved()
         if clock is not None and telemetry:
             now_ns = clock()
-            self.latency.add(now_ns - received_ns for received_ns in telemetry)
-            # The packet that caused an event is one of this batch, however the vehicle's clock is set.
-            first_ns, last_ns = min(telemetry), max(telemetry)
-            self.alarm_latency.add(now_ns - min(max(event.time_ns, first_ns), last_ns) for event in events)
+            self.latency.add([now_ns - received_ns for received_ns in telemetry])
+            if events:
+                # The packet that caused an event is one of this batch, however the vehicle's clock is set.
+                first_ns, last_ns = min(telemetry), max(telemetry)
+                self.alarm_latency.add([now_ns - min(max(event.time_ns, first_ns), last_ns) for event in events])
         return events
 
     def _own(self, batch: Batch) -> Batch:
