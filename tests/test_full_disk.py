@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from daemons import ENVIRONMENT, FAUIO
 
+import fauio
+
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 LOG = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
 FAULTY = LOG.with_name("copter_motor3_090.tlog.xz")
@@ -27,17 +29,7 @@ MORE = [
 ]
 
 
-def on_a_full_disk(command: tuple[str, ...], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a command in a folder whose files may not grow beyond a few bytes."""
-    return subprocess.run(
-        [*FAUIO, *command],
-        cwd=folder,
-        env={**ENVIRONMENT, "PYTHONDONTWRITEBYTECODE": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (10, 10)),
-    )
+LIMIT = (10, resource.getrlimit(resource.RLIMIT_FSIZE)[1])
 
 
 @pytest.mark.parametrize(
@@ -45,16 +37,33 @@ def on_a_full_disk(command: tuple[str, ...], folder: Path) -> subprocess.Complet
     [*COMMANDS, *(pytest.param(command, marks=pytest.mark.long) for command in MORE)],
     ids=lambda command: f"{command[0]} {command[-2]} {command[-1]}",
 )
-def test_the_file_that_could_not_be_written_is_named(command: tuple[str, ...], tmp_path: Path) -> None:
-    done = on_a_full_disk(command, tmp_path)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert f"{command[-1]}: " in done.stderr.splitlines()[-1]
+def test_the_file_that_could_not_be_written_is_named(
+    command: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, LIMIT)
+    try:
+        status = fauio.main(list(command))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert status == 2
+    assert f"{command[-1]}: " in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_gains_that_were_there_stay_whole(tmp_path: Path) -> None:
     gains = tmp_path / "arm.gains.json"
     gains.write_text("as designed on monday")
-    assert on_a_full_disk(("design", "arm-disturbed", "-o", gains.name), tmp_path).returncode == 2
+    done = subprocess.run(
+        [*FAUIO, "design", "arm-disturbed", "-o", gains.name],
+        cwd=tmp_path,
+        env={**ENVIRONMENT, "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, LIMIT),
+    )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
     assert gains.read_text() == "as designed on monday"
     assert list(tmp_path.iterdir()) == [gains]
