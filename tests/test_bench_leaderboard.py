@@ -31,7 +31,7 @@ def write_flight(path: Path, seed: int, onset: int | None, count: int = 1200) ->
 def flights(tmp_path_factory: pytest.TempPathFactory) -> list[alfa.Flight]:
     folder = tmp_path_factory.mktemp("alfa")
     for day in range(1, 5):
-        write_flight(folder / f"engine/carbonZ_2018-07-0{day}-15-53-31_1_engine_failure.csv", day, 800)
+        write_flight(folder / f"engine/carbonZ_2018-07-0{day}-15-53-31_1_engine_failure.csv", 20 + day, 800)
         write_flight(folder / f"no_failure/carbonZ_2018-07-0{day}-15-53-31_2_no_failure.csv", 10 + day, None)
     return [alfa.read_flight(path) for path in sorted(folder.rglob("*.csv"))]
 
