@@ -203,6 +203,70 @@ DISTORTIONS: Mapping[str, Distortion] = {
     "forgery": forge,
 }
 
+ATTACK_S = 3.0
+"""When the attacks of :data:`ATTACKS` begin, seconds after the first packet."""
+
+
+def insert(
+    name: str, changes: Callable[[Mapping[str, Any]], Mapping[str, Any]], every_s: float, own: bool
+) -> Distortion:
+    """Forge a message again and again: the newest of its kind with other values, and numbers of its ``own`` or not."""
+    number = next(number for number, kind in ardupilotmega.mavlink_map.items() if kind.msgname == name)
+
+    def forged(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
+        made: list[Due] = []
+        newest, due_ns, sent = None, round(ATTACK_S * 1e9), 0
+        for due, packet in packets:
+            while newest is not None and due >= due_ns:
+                false = _with_fields(newest, changes(_fields(newest)))
+                if own:
+                    false = checksummed(false[:4] + bytes([sent % 256]) + false[5:])
+                made.append((due_ns, false))
+                due_ns, sent = due_ns + round(every_s * 1e9), sent + 1
+            made.append((due, packet))
+            newest = packet if message_number(packet) == number else newest
+        return made
+
+    return forged
+
+
+def second_vehicle(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
+    """Let another vehicle send under the same id, which was switched on 30 s later."""
+    others = [(due + 3_000_000, _shifted(packet, 30 * _SECOND_NS)) for due, packet in packets if due >= ATTACK_S * 1e9]
+    return list(merge(packets, others, key=lambda one: one[0]))
+
+
+def number_anew(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
+    """Let the sequence numbers begin anew, as a radio that was restarted does."""
+    return [
+        (
+            due,
+            checksummed(packet[:4] + bytes([(packet[4] + 77) % 256]) + packet[5:]) if due >= ATTACK_S * 1e9 else packet,
+        )
+        for due, packet in packets
+    ]
+
+
+def burst(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
+    """Lose all for 100 ms, 2.5 times a second."""
+    return [(due, packet) for due, packet in packets if due < ATTACK_S * 1e9 or due % 400_000_000 >= 100_000_000]
+
+
+ATTACKS: Mapping[str, Distortion] = {
+    "disarmed": insert("HEARTBEAT", lambda said: {"base_mode": said["base_mode"] & 127}, 1.0, False),
+    "on ground": insert("EXTENDED_SYS_STATE", lambda said: {"landed_state": 1}, 0.9, False),
+    "ahead": insert("ATTITUDE", lambda said: {"time_boot_ms": said["time_boot_ms"] + 900}, 1.0, False),
+    "hour ahead": insert("ATTITUDE", lambda said: {"time_boot_ms": said["time_boot_ms"] + 3_600_000}, 0.5, False),
+    "own numbers": insert("ATTITUDE", lambda said: {}, 0.2, True),
+    "rare attitude": insert(
+        "ATTITUDE", lambda said: {"time_boot_ms": said["time_boot_ms"] + 4, "roll": said["roll"] + 0.3}, 0.503, False
+    ),
+    "second vehicle": second_vehicle,
+    "numbers anew": number_anew,
+    "bursts 100 ms": burst,
+}
+"""What attackers and bad links do from :data:`ATTACK_S` on."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sufferer:
@@ -215,7 +279,7 @@ class Sufferer:
     log : Path
         Its recorded flight.
     distortion : str
-        One of :data:`DISTORTIONS`.
+        One of :data:`DISTORTIONS` or :data:`ATTACKS`.
     stop_s : float
         Second of the log to stop at.
     """
@@ -229,7 +293,7 @@ class Sufferer:
         """Return its packets, to be sent from a Unix time on."""
         flight = read_flight(self.log, self.system, 0.0, self.stop_s)
         numbered = [(due, packet) for due, (_, packet) in fleet_packets([flight])]
-        return DISTORTIONS[self.distortion](numbered, random.Random(self.system), now_ns)
+        return {**DISTORTIONS, **ATTACKS}[self.distortion](numbered, random.Random(self.system), now_ns)
 
 
 def send(sufferers: Sequence[Sufferer], to: str) -> subprocess.Popen[str]:
