@@ -170,6 +170,17 @@ def test_a_value_that_stands_for_nothing_makes_no_message() -> None:
     assert states == [("HEARTBEAT", 1), ("HEARTBEAT", 129), ("EXTENDED_SYS_STATE", 2), ("HEARTBEAT", 1)]
 
 
+def test_an_ardupilot_that_may_have_landed_is_landing_at_its_height_above_home() -> None:
+    events = [Message(DATAFLASH, "EV", 50 * n * MS, {"TimeUS": n, "Id": event}) for n, event in enumerate((28, 17, 18))]
+    height = Message(
+        DATAFLASH, "POS", 75 * MS, {"TimeUS": 75_000, "Lat": 0, "Lng": 0, "Alt": 584.0, "RelHomeAlt": 0.05}
+    )
+    found = run([*events[:2], height, events[2]], builtin_mapping("dataflash"), ("EXTENDED_SYS_STATE",))
+    assert [m.fields["landed_state"] for m in found] == [2, 4, 1]
+    found = run([height], builtin_mapping("dataflash"), ("GLOBAL_POSITION_INT",))
+    assert [m.fields["relative_alt"] for m in found] == [50.0]
+
+
 def test_from_the_first_contact_with_the_ground_px4_is_landing() -> None:
     states = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (0, 0, 0)]
     names = ("ground_contact", "maybe_landed", "landed")
