@@ -44,17 +44,24 @@ def profile(fitted: Fitted) -> Profile:
 def test_flights_tell_resistance_and_charge(fitted: Fitted) -> None:
     assert fitted.findings["ohm"] == pytest.approx(OHM, rel=0.05)
     assert fitted.findings["charge_as"] == pytest.approx(5.0 * 3600.0, rel=0.2)
-    assert fitted.alarms[0].rule.threshold == 0.5
+    assert fitted.alarms[0].rule.threshold == 0.4
 
 
 def test_a_resistance_that_doubles_is_an_alarm_that_says_what_is_left(profile: Profile) -> None:
     raised, *_ = play(profile, quad(9, 60.0, Fault("battery", 0, 1.0, onset_s=20.0))).events
     assert (raised.channel, raised.state) == ("battery", "raised")
-    assert 5.0 < raised.vehicle_time_ms / 1000 - 25.0 < 30.0
+    assert 0.0 < raised.vehicle_time_ms / 1000 - 25.0 < 10.0
     assert raised.relative is not None and 0.4 < raised.relative < 1.1
     assert raised.message.startswith("battery has ")
     assert "% more resistance than is usual: " in raised.message
     assert raised.message.endswith(" min left at this current")
+
+
+def test_half_as_much_resistance_more_is_an_alarm_of_its_size(profile: Profile) -> None:
+    raised, *_ = play(profile, quad(9, 60.0, Fault("battery", 0, 0.5, onset_s=20.0))).events
+    assert (raised.channel, raised.state) == ("battery", "raised")
+    assert 0.0 < raised.vehicle_time_ms / 1000 - 25.0 < 30.0
+    assert raised.peak is not None and 0.4 < raised.peak < 0.7
 
 
 def test_a_battery_that_runs_down_is_no_fault(profile: Profile) -> None:
@@ -109,6 +116,7 @@ def test_samples_hold_the_resistance_and_do_not_depend_on_cuts() -> None:
         ({"ohm": None}, "'ohm' is missing"),
         ({"weight": 1.0}, "'weight' is unknown"),
         ({"doubt": 0.0}, "'doubt' is not above 0"),
+        ({"memory_s": 0.0}, "'memory_s' is 0; from 1 to 1000"),
     ],
 )
 def test_parameters_that_cannot_be_are_refused(change: dict[str, float | None], said: str) -> None:

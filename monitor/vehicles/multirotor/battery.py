@@ -1,7 +1,7 @@
 """The battery observer: how far the voltage gives way to the current, against what was learned.
 
 With V and I the battery's voltage and current, less what they were of late (a low-pass of :data:`_BASE_S`), and
-moments over :data:`_MEMORY_S`,
+moments over a memory of some seconds,
 
     resistance = (lambda R - w cov(V, I)) / (lambda + w var(I))
 
@@ -9,6 +9,9 @@ where R is that of healthy flights, lambda what the voltage's noise is worth, an
 that is filled: while the current hardly changes the resistance is the usual one. What the open voltage does, over
 charge and age, is no evidence. A faulty cell, a corroded connector and an old battery show in a larger resistance
 before they fail under load.
+
+The memory is the shortest of :data:`_MEMORIES_S` over which healthy flights know the resistance well enough: how well
+is a matter of how much their current changes beside the voltage's noise. In a calm hover hardly anything is told.
 
 The plant behind compares the resistance with the usual one. Beside them go the current and how long the charge lasts at
 it, for the alarm's sentence.
@@ -55,20 +58,24 @@ OBSERVER = "battery"
 _SLOWEST_HZ, _FASTEST_HZ = 0.5, 10.0
 """Bounds of the observer's grid. Chosen: slower reports miss the manoeuvres that change the current; faster ones are
 alike, autopilots filter both."""
-_BASE_S, _MEMORY_S = 5.0, 20.0
+_BASE_S, _MEMORIES_S = 5.0, (5.0, 10.0, 20.0)
 """Time constants of the low-pass and of the moments. Chosen: a manoeuvre lasts some seconds, charge moves the open
-voltage in minutes; a resistance that doubles at once is half seen after 14 s."""
+voltage in minutes; a resistance that doubles at once is half seen after 0.7 of a memory."""
+_SURE = 0.08
+"""Standard deviation of the resistance in healthy flights, as a share of it, up to which a memory is long enough: a
+fifth of the smallest alarm, as far from it as no Gaussian error comes in a million samples."""
 _LEAST_S = 20.0
 """Evidence that is needed, seconds, as of the motors observer."""
 _LARGEST_ERROR = 0.25
 """Standard error of the resistance, as a share, up to which the flights know it, as of the motors' effects."""
-_DOUBT = 0.5
-"""Share by which a resistance may be another before this flight has shown it: chosen, the smallest that is an alarm."""
-_SMALLEST, _CRITICAL = 0.5, 1.5
+_DOUBT = 1.0
+"""Share by which a resistance may be another before this flight has shown it: lithium batteries are taken out of
+service at about twice the one of new."""
+_SMALLEST, _CRITICAL = 0.4, 1.5
 """Shares of resistance more that are worth an alarm, and critical. Chosen: from full to a fifth of the charge, and from
-30 to 10 degrees, it rises by a third; lithium batteries are taken out of service at about twice the one of new."""
-_TIMES = Times(fast_s=2.0, raise_s=5.0, slow_s=20.0, clear_s=5.0)
-"""Chosen: a resistance is known over :data:`_MEMORY_S` only."""
+30 to 10 degrees, it rises by a third, which is no fault; the end of service is at one."""
+_RAISE, _SLOW = 0.25, 1.0
+"""Shares of the memory for which evidence has to last: chosen, what one manoeuvre says is not enough."""
 _FAULT_RATE = 0.1
 """Shares per second by which it may grow: chosen, a contact fails within ten seconds."""
 _LEAST_LEFT = 0.01
@@ -88,7 +95,7 @@ class BatteryInputs:
     ----------
     parameters : Mapping[str, float]
         ``ohm``: usual resistance; ``doubt``: lambda, A^2; ``charge``: that of a full battery, As, 0 where it is not
-        known.
+        known; ``memory_s``: time constant of the moments, 20 where it is left out.
     signal_rate_hz, rate_hz : float
         Raw samples and given samples per second, which are the same.
 
@@ -103,15 +110,18 @@ class BatteryInputs:
     inputs, outputs = ("battery", "ohm", "current", "left_s"), ("resistance",)
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
-        if wrong := sorted({"ohm", "doubt", "charge"} ^ set(parameters)):
+        if wrong := sorted({"ohm", "doubt", "charge"} ^ (set(parameters) - {"memory_s"})):
             verb = "is unknown" if wrong[0] in parameters else "is missing"
             raise TelemetryError(f"transform 'battery': '{wrong[0]}' {verb}; fit the profile again")
         if not (0.0 < parameters["ohm"] < 1e3 and parameters["doubt"] > 0.0 and 0.0 <= parameters["charge"] < 1e9):
             raise TelemetryError("transform 'battery': 'ohm' or 'doubt' is not above 0, or 'charge' negative")
+        memory_s = parameters.get("memory_s", _MEMORIES_S[-1])
+        if not 1.0 <= memory_s <= 1e3:
+            raise TelemetryError(f"transform 'battery': 'memory_s' is {memory_s:g}; from 1 to 1000")
         if signal_rate_hz != rate_hz:
             raise TelemetryError(f"transform 'battery': signals at {signal_rate_hz:g} Hz, samples at {rate_hz:g} Hz")
         self._ohm, self._doubt, self._charge = (parameters[name] for name in ("ohm", "doubt", "charge"))
-        self._moments = Moments(rate_hz)
+        self._moments = Moments(rate_hz, memory_s)
         self._given = LaggedMeans((), rate_hz, 1, len(self.inputs), len(self.outputs))
 
     def run(self, samples: Samples) -> Given:
@@ -129,9 +139,9 @@ class BatteryInputs:
 class Moments:
     """Moments of voltage and current, less what they were of late."""
 
-    def __init__(self, rate_hz: float) -> None:
+    def __init__(self, rate_hz: float, memory_s: float) -> None:
         self._base = LaggedMeans([(0.0, _BASE_S)] * 2, rate_hz, 1, 2, 2)
-        self._means = LaggedMeans([(0.0, _MEMORY_S)] * 5, rate_hz, 1, 5, 1)
+        self._means = LaggedMeans([(0.0, memory_s)] * 5, rate_hz, 1, 5, 1)
 
     def run(self, samples: Samples) -> tuple[Array, Array, Array]:
         """Return w cov(V, I), w var(I) and the current of late of raw samples (n,)."""
@@ -176,8 +186,9 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
     parameters = _learned(raw, rate_hz)
     if parameters is None:
         return None
+    memory_s = parameters["memory_s"]
     source = SampleSource(transform=TransformRule(OBSERVER, rate_hz, parameters), signals=channels)
-    flights = [transformed(flight, BatteryInputs(parameters, rate_hz, rate_hz)) for flight in raw]
+    flights = _transformed(raw, parameters, rate_hz)
     left = max(float(np.concatenate([one.samples.y[one.armed, 0] for one in flights]).std()), _LEAST_LEFT)
     plant = _plant(request.name, rate_hz, left)
     design = design_convex(plant)
@@ -185,7 +196,8 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
         OBSERVER, plant, (compile_gains(plant, design, certify(plant, design)),), source, IndependentRule(1.0 / rate_hz)
     )
     evidence = [one[:, 0] for one in healthy_evidence(bare.profile(), gate, flights)]
-    times = replace(_TIMES, fast_s=max(_TIMES.fast_s, 2.0 / rate_hz), raise_s=max(_TIMES.raise_s, 3.0 / rate_hz))
+    raise_s = max(_RAISE * memory_s, 3.0 / rate_hz)
+    times = Times(fast_s=raise_s, raise_s=raise_s, slow_s=_SLOW * memory_s, clear_s=raise_s)
     levels = healthy_levels(evidence, rate_hz, FALSE_ALARMS_PER_HOUR, times)
     rule = bare_rule(OBSERVER, OBSERVER, "actuator", RESISTANCE)
     # a resistance is a mean itself: the path of means would name half of what matters
@@ -198,6 +210,7 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
         findings={"rate_hz": rate_hz, "ohm": parameters["ohm"], "charge_as": parameters["charge"]},
         lines=(
             f"{1000.0 * parameters['ohm']:.1f} milliohms{charge}; "
+            f"known over {memory_s:g} s; "
             f"alarm from {100.0 * alarm.rule.threshold:.0f} % more resistance on",
         ),
     )
@@ -230,9 +243,20 @@ def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float] | None:
     error = math.sqrt(noise / (products[1, 1] / rate_hz))
     if not ohm > 0.0 or error > _LARGEST_ERROR * ohm:
         return None
-    doubt = max(noise / (_MEMORY_S * (_DOUBT * ohm) ** 2), 1e-6 * products[1, 1] / (seconds * rate_hz))
-    values = {"ohm": ohm, "doubt": doubt, "charge": float(np.median(charge)) if charge else 0.0}
-    return {name: float(f"{value:.6g}") for name, value in values.items()}
+    parameters: dict[str, float] = {}
+    for memory_s in _MEMORIES_S:
+        doubt = max(noise / (memory_s * (_DOUBT * ohm) ** 2), 1e-6 * products[1, 1] / (seconds * rate_hz))
+        full = float(np.median(charge)) if charge else 0.0
+        values = {"ohm": ohm, "doubt": doubt, "charge": full, "memory_s": memory_s}
+        parameters = {name: float(f"{value:.6g}") for name, value in values.items()}
+        known = np.concatenate([one.samples.u[one.armed, 1] for one in _transformed(raw, parameters, rate_hz)])
+        if known.std() <= _SURE * ohm:
+            break
+    return parameters
+
+
+def _transformed(raw: Sequence[Flight], parameters: Mapping[str, float], rate_hz: float) -> list[Flight]:
+    return [transformed(flight, BatteryInputs(parameters, rate_hz, rate_hz)) for flight in raw]
 
 
 def _plant(name: str, rate_hz: float, left: float) -> Plant:
