@@ -225,6 +225,25 @@ def test_below_the_least_command_that_was_flown_and_until_its_lag_has_passed_not
     assert not whole.samples.lost.any()
 
 
+@pytest.mark.parametrize("cut", [0, 9, 10, 20])
+def test_commands_that_change_faster_than_was_flown_are_no_evidence_however_samples_are_cut(cut: int) -> None:
+    raw = raw_samples(36)
+    u = np.hstack([np.full((36, 2), 0.5), raw.u[:, 2:]])
+    u[10:, 1] = 0.6
+    raw = replace(raw, u=u, measured=np.ones(36, bool))
+    # measurements come a tick later
+    for fastest, rows in ((9.0, [10, 11]), (11.0, [])):
+        transform = EscInputs({**PARAMETERS, "fastest": fastest}, 100.0, 100.0)
+        parts = [transform.run(raw.part(*part)).samples for part in ((0, cut), (cut, 36))]
+        lost = np.vstack([part.lost for part in parts])
+        assert np.flatnonzero(lost.any(axis=1)).tolist() == rows
+
+
+def test_speeds_that_come_once_a_second_are_not_judged() -> None:
+    log = list(flight(1, 40.0, esc_hz=1.0))
+    assert fit_esc(FitRequest("quad", [lambda: packed(log)], (survey(packed(log)),)), GateRule()) is None
+
+
 def test_nothing_given_has_the_shape_of_samples() -> None:
     raw = raw_samples(36)
     transform = EscInputs(PARAMETERS, 100.0, 50.0)

@@ -56,6 +56,10 @@ _SIGNAL_HZ = 100.0
 """Commands are put through delay and lag on this grid: a fifth of the usual lag of a motor."""
 _FASTEST_HZ = 50.0
 """Fastest rate of the observer: speeds follow with a lag of 50 ms."""
+_SLOWEST_HZ = 2.0
+"""Speeds that come less often are not judged. Measured over radios at 1 Hz: what commands did between two of them
+accused two controllers in 8 minutes of healthy flight, and left others without evidence for 5 s and more; at 10 Hz of a
+log neither. Chosen: between."""
 _LEAST_S = 20.0
 """Evidence that is needed, seconds, as of the motors observer."""
 _DELAYS_S, _LAGS_S = (
@@ -75,7 +79,8 @@ _EXCUSED_S = 2.0
 mean over which losses are seen has forgotten it. A chipped propeller takes less current, and has less thrust at its
 command; so has a motor that turns slower."""
 _LEAST_SHARE = 1e-3
-"""Share of the commands flown that lies below the least one that is judged. Chosen: a flight of minutes has some."""
+"""Share of the commands flown that lies below the least one that is judged, and of their steps above the largest one.
+Chosen: a flight of minutes has some."""
 _OTHERWISE = 0.5
 """Share of the usual current by which each of its terms may differ from a propeller's power alone. Chosen: without load
 motors draw a tenth and less of what they draw in hover; flights that show it decide.
@@ -104,6 +109,7 @@ class _Identified:
     hover: FloatArray  # speeds, then currents, of hovering (m,), rpm and A
     curves: _Curves
     least: float  # smallest command that was flown, the lowest thousandth aside
+    fastest: float  # fastest change of a command that was flown, per second, the highest thousandth aside
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -122,6 +128,7 @@ class _Identified:
             **{f"output{at}": float(n) for at, n in enumerate(self.numbers, start=1)},
             "curves": 2.0,
             "least": _rounded(self.least),
+            "fastest": _rounded(self.fastest),
             "volts": self.volts,
             "delay_s": self.delay_s,
             "lag_s": self.lag_s,
@@ -137,7 +144,7 @@ class _Identified:
 def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
     """Identify speeds and currents on healthy recordings, design the observer, calibrate its alarms.
 
-    None where no speed controller reports its speed.
+    None where no speed controller reports its speed, or too seldom.
 
     Currents that follow speeds too loosely to show twice the usual one are left out.
 
@@ -148,7 +155,7 @@ def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
     """
     commands, _ = multirotor_channels(request.surveys)
     signals = motor_speeds(request, gate, commands)
-    if signals is None:
+    if signals is None or signals.rate_hz < _SLOWEST_HZ:
         return None
     rate_hz = float(f"{min(signals.rate_hz, _FASTEST_HZ):.3g}")
     signal_hz = rate_hz * max(1, round(_SIGNAL_HZ / rate_hz))
@@ -284,7 +291,9 @@ def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: f
         curves = _Curves(*(np.concatenate(both) for both in zip(curves, drawn, strict=True)))
     numbers = tuple(int(channel.name.removeprefix("motor")) for channel in commands)
     least = max(float(np.quantile(u, _LEAST_SHARE)), 0.0)
-    return _Identified(numbers, volts, delay_s, lag_s, measured, curves, least)
+    steps = [np.abs(np.diff(one.samples.u[one.armed, :s], axis=0)).ravel() for one in raw]
+    fastest = float(np.quantile(np.concatenate(steps), 1.0 - _LEAST_SHARE)) * signal_hz
+    return _Identified(numbers, volts, delay_s, lag_s, measured, curves, least, fastest)
 
 
 def _means(

@@ -18,6 +18,7 @@ that: a motor that fails draws more, less says that its propeller is damaged, wh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -122,6 +123,8 @@ class EscInputs:
         ``delay_s``, ``lag_s`` of speed behind command; for each motor n ``rpmN`` (that of hovering) and ``rpmN_c0`` to
         ``rpmN_c3``; the same of ``ampsN`` for all or none; ``curves``: 2, or left out in profiles of old; ``least``:
         smallest command that was flown, 0 where it is left out. Below it the curves were never seen: no evidence.
+        ``fastest``: fastest change of a command that was flown, per second, left out for any. Beyond it what a command
+        did between two messages is not known well enough: no evidence either.
     signal_rate_hz, rate_hz : float
         Raw samples and given samples per second; the first is a whole multiple of the second.
 
@@ -140,7 +143,7 @@ class EscInputs:
         curves = [f"{kind}{n}" for kind in kinds for n in numbers]
         wanted = {"delay_s", "lag_s", "volts", *(f"output{at}" for at in range(1, len(numbers) + 1)), *curves}
         wanted |= {f"{name}_c{term}" for name in curves for term in range(TERMS)}
-        if wrong := sorted((wanted ^ set(parameters)) - {"curves", "least"}):
+        if wrong := sorted((wanted ^ set(parameters)) - {"curves", "least", "fastest"}):
             verb = "is unknown" if wrong[0] in parameters else "is missing"
             raise TelemetryError(f"transform 'esc': '{wrong[0]}' {verb}; fit the profile again")
         if (curves_of := parameters.get("curves", 1.0)) not in (1.0, 2.0):
@@ -152,6 +155,8 @@ class EscInputs:
         if bad := next((name for name in curves if not 0.0 < parameters[name] < 1e9), None):
             raise TelemetryError(f"transform 'esc': '{bad}' is {parameters[bad]:g}; that of hovering is above 0")
         self._least = parameters.get("least", 0.0)
+        self._largest_step = parameters.get("fastest", math.inf) / signal_rate_hz
+        self._command: Array | None = None
         size = raw_per_sample("esc", signal_rate_hz, rate_hz)
         volts = parameters["volts"] > 0.0
         raw = ("motor", "rpm", *(["amps"] if currents else []), *(["volts"] if volts else []))
@@ -173,8 +178,12 @@ class EscInputs:
             measured = np.vstack([speed, *more]) / self._units[:, None]
             parts = self._terms(command, measured[: self._motors], v)
             expected = sum(c[:, None] * part[: len(c)] for c, part in zip(self._curves.T, parts, strict=True))
-        # what a command below the least does to speeds passes as slowly as that command itself
-        known = np.asarray((command >= self._least).all(axis=0), np.float64)
+        # what commands that were not flown do to speeds passes as slowly as those commands themselves
+        before = command[:, :1] if self._command is None else self._command
+        steps = np.abs(np.diff(command, prepend=before)).max(axis=0)
+        flown = (command >= self._least).all(axis=0) & (samples.restart | (steps <= self._largest_step))
+        self._command = command[:, -1:] if len(samples) else self._command
+        known = np.asarray(flown, np.float64)
         given = self._means.run(samples, [known, *expected, *measured], speed)
         means = given.samples
         lost = means.lost[:, 1:] | (means.u[:, :1] < _KNOWN)
