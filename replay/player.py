@@ -148,8 +148,7 @@ def play_batches(
     events: list[AlarmEvent] = []
     count = 0
     seen: set[str] = set()
-    names = tuple(layout.observer for layout in pipeline.layouts)
-    samples, watched, coasted = (dict.fromkeys(names, 0) for _ in range(3))
+    rows = {layout.observer: _Rows() for layout in pipeline.layouts}
     with ExitStack() as stack:
         recorder = _recorder(stack, record, pipeline) if record is not None else None
         for batch in batches:
@@ -166,9 +165,7 @@ def play_batches(
                 raise OtherVehicleError(f"{pipeline.refused}; take its own profile, or go on with --force")
             for output in outputs:
                 if isinstance(output, Estimates):
-                    samples[output.observer] += len(output)
-                    watched[output.observer] += int(np.count_nonzero(output.armed))
-                    coasted[output.observer] += int(np.count_nonzero(output.coasted_s))
+                    rows[output.observer].count(output)
                     if recorder is not None:
                         recorder.estimates(output)
                     if keep_traces:
@@ -181,22 +178,12 @@ def play_batches(
                     on_event(output)
         if recorder is not None:
             recorder.add_metadata(pipeline.metadata())
-    sampling = pipeline.statistics()
-    watches = {
-        layout.observer: Watch(
-            samples=samples[layout.observer],
-            evidence=watched[layout.observer],
-            coasted=coasted[layout.observer],
-            rate_hz=layout.rate_hz,
-            sampling=sampling[layout.observer],
-        )
-        for layout in pipeline.layouts
-    }
+    watches = _watches(pipeline, rows)
     return Replay(
         events=tuple(events),
         traces=tuple(builder.build() for builder in builders.values()),
-        samples=sum(samples.values()),
-        evidence=sum(watched.values()),
+        samples=sum(watch.samples for watch in watches.values()),
+        evidence=sum(watch.evidence for watch in watches.values()),
         watched_s=max((watch.watched_s for watch in watches.values()), default=0.0),
         messages=count,
         thresholds=pipeline.thresholds,
@@ -207,6 +194,34 @@ def play_batches(
         outside=pipeline.furthest,
         conditions=tuple(pipeline.conditions),
     )
+
+
+@dataclass(slots=True)
+class _Rows:
+    """What one observer took so far."""
+
+    samples: int = 0
+    evidence: int = 0
+    coasted: int = 0
+
+    def count(self, estimates: Estimates) -> None:
+        self.samples += len(estimates)
+        self.evidence += int(np.count_nonzero(estimates.armed))
+        self.coasted += int(np.count_nonzero(estimates.coasted_s))
+
+
+def _watches(pipeline: Pipeline, rows: Mapping[str, _Rows]) -> dict[str, Watch]:
+    sampling = pipeline.statistics()
+    return {
+        layout.observer: Watch(
+            samples=(taken := rows[layout.observer]).samples,
+            evidence=taken.evidence,
+            coasted=taken.coasted,
+            rate_hz=layout.rate_hz,
+            sampling=sampling[layout.observer],
+        )
+        for layout in pipeline.layouts
+    }
 
 
 def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:
