@@ -29,7 +29,10 @@ def port() -> int:
 
 
 def contents(messages: list[Message]) -> list[tuple[str, int, str]]:
-    return [(message.name, message.system, repr(dict(message.fields))) for message in messages]
+    """Return what was sent, system by system: a link that is behind takes turns among them."""
+    return sorted(
+        ((message.name, message.system, repr(dict(message.fields))) for message in messages), key=lambda one: one[1]
+    )
 
 
 def test_renumbered_packets_lack_none(port: int) -> None:

@@ -178,6 +178,12 @@ def test_what_comes_after_a_fall_is_no_finding(tmp_path: Path) -> None:
     assert names(rules_on(px4_log(tmp_path / "flight.ulg", flight))) == ["landing_detected_in_air"]
 
 
+def test_attitudes_are_compared_by_the_shorter_way_round(tmp_path: Path) -> None:
+    flight = Flight(tilt_wanted_deg=between(30.0, 33.0, 175.0, 0.0), tilt_deg=between(30.0, 33.0, -175.0, 0.0))
+    review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
+    assert "attitude_not_followed" not in [one.rule.name for one in review.findings]
+
+
 def test_what_began_sooner_comes_first(tmp_path: Path) -> None:
     flight = Flight(ratio=between(25.0, 28.0, 2.0, 0.1), height=fallen, motors=stopped, landed=LANDED_THERE.landed)
     review = rules_on(px4_log(tmp_path / "flight.ulg", flight))

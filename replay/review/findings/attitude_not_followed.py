@@ -22,7 +22,8 @@ _APART_S = 0.5
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     attitude, wanted = facts.signals["attitude"], facts.signals["attitude_wanted"]
     times = attitude.time_s
-    apart = np.abs(attitude.values[:, :2] - wanted.at(times)[:, :2])
+    # by the shorter way round: at half a turn roll goes on from +180 to -180 degrees
+    apart = np.abs((attitude.values[:, :2] - wanted.at(times)[:, :2] + 180.0) % 360.0 - 180.0)
     end_s = lost_s(facts)
     # what came before the motors were stopped, and the tumbling itself
     judged = facts.in_flight(times) & (times < end_s + _APART_S)
