@@ -9,7 +9,6 @@ that no other output shows.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -98,7 +97,7 @@ class CommandUnits:
         ``commands`` are those of :meth:`run`.
         """
         inputs, command = self._inputs[change.named], np.zeros(len(change.named))
-        if not ((inputs >= 0).any() or change.known.any()):
+        if not (inputs >= 0).any():
             return change
         for fault, smoothed in commands.items():
             command = np.where(change.named == fault, smoothed, command)
@@ -106,11 +105,7 @@ class CommandUnits:
             shares_in_command(self._curves, inputs, command, share)
             for share in (change.size, change.size + change.growth, change.size + change.sd)
         )
-        known = change.known.copy()
-        for fault, smoothed in commands.items():
-            scaled = np.full(len(known), self._inputs[fault])
-            known[:, fault] = shares_in_command(self._curves, scaled, smoothed, np.ascontiguousarray(known[:, fault]))
-        return change._replace(size=size, growth=later - size, sd=np.abs(upper - size), known=known)
+        return change._replace(size=size, growth=later - size, sd=np.abs(upper - size))
 
 
 class EffectivenessStage:
@@ -236,9 +231,7 @@ class ObserverChain:
         self._changes = None
         if profile.changes is not None and profile.model is not None:
             inputs = {channel.name: channel.input for channel in profile.faults}
-            certain = max((rule.nats for rule in profile.alarms if rule.nats < math.inf), default=math.inf)
-            least = {rule.channel: rule.least for rule in profile.alarms}
-            self._changes = ChangeStage(profile.model, gains.rate_hz, inputs, profile.changes, certain, least)
+            self._changes = ChangeStage(profile.model, gains.rate_hz, inputs, profile.changes)
         self._envelope = None
         if profile.envelope is not None and profile.source.transform is not None:
             signals = [channel.name for channel in profile.source.signals]
@@ -400,11 +393,6 @@ class ObserverChain:
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
         for index, effect in effects.items():
             shown.isolated[:, index] = effect.size
-        changes = self._changes_of(samples, armed, shown)
-        if changes is not None:
-            # No hypothesis of the bank has several faults that came one after the other: the test knows their sizes.
-            shown.isolated[changes.several] = changes.known[changes.several]
-            found.unexplained[changes.several], found.counted[changes.several] = 0.0, True
         estimates = Estimates(
             observer=self.layout.observer,
             samples=samples,
@@ -416,7 +404,7 @@ class ObserverChain:
             sd=shown.sd,
             coasted_s=self._since_measured.run(samples.vehicle_time_ns, samples.measured, samples.restart),
         )
-        return self._with_evidence(estimates, position, found, effects, shown.commands, changes, beyond)
+        return self._with_evidence(estimates, position, found, effects, shown.commands, beyond)
 
     def _with_evidence(
         self,
@@ -425,7 +413,6 @@ class ObserverChain:
         found: EstimatorRun,
         effects: Mapping[int, EffectivenessRun],
         commands: Mapping[int, NDArray[np.float64]],
-        changes: ChangeRun | None,
         beyond: NDArray[np.float64] | None,
     ) -> ChainRun:
         evidence, speaking = evidence_of(
@@ -449,6 +436,7 @@ class ObserverChain:
         if beyond is not None:
             # an edge is judged by what is flat before and after it
             scale = np.where(self._healthy > 0.0, scale * beyond[:, None], scale)
+        changes = self._changes_of(estimates, commands)
         rows = ChainRows(
             self._states,
             position,
@@ -474,16 +462,16 @@ class ObserverChain:
             None if changes is None else changes.sd,
         )
 
-    def _changes_of(self, samples: Samples, armed: NDArray[np.bool_], shown: CommandRun) -> ChangeRun | None:
+    def _changes_of(self, estimates: Estimates, commands: Mapping[int, NDArray[np.float64]]) -> ChangeRun | None:
         """Return the sudden change that each row names, None without a test."""
         if self._changes is None:
             return None
-        return self._command.of_change(self._changes.run(samples, armed, shown.isolated), shown.commands)
+        run = self._changes.run(estimates.samples, estimates.armed, estimates.isolated)
+        return self._command.of_change(run, commands)
 
     def _named(self, run: ChangeRun) -> tuple[NDArray[Any], ...]:
-        """Return the alarm whose sudden change each row names, with its nats, size, growth and onset, and the known."""
-        known = run.known[:, self._fault_of] != 0.0
-        return self._alarm_of[run.named], run.nats, run.size, run.growth, run.onset_ns, known
+        """Return the alarm whose sudden change each row names, with its nats, size, growth and onset."""
+        return self._alarm_of[run.named], run.nats, run.size, run.growth, run.onset_ns
 
 
 def _jumping(rule: IsolationRule) -> frozenset[str]:

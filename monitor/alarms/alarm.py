@@ -3,8 +3,8 @@
 Paths, each with its own size and time, whichever comes first:
 
 - sudden: a change of at least ``least``, or that grows to it within ``critical_ahead_s``, which is certain by a
-  log-likelihood ratio of ``nats`` at once, while no other alarm of the observer is active but of faults whose effect
-  is taken out of the data (:mod:`monitor.estimation.changes`);
+  log-likelihood ratio of ``nats`` at once, while no other alarm of the observer is active
+  (:mod:`monitor.estimation.changes`);
 - fast: evidence beyond ``fast`` for ``fast_s``, for large faults;
 - plain: evidence beyond ``threshold`` for ``raise_s``;
 - slow: the exponentially weighted mean over ``slow_s`` beyond ``slow``, for small and creeping faults; evidence enters

@@ -60,7 +60,6 @@ class ChainRows:
         size: NDArray[np.float64] | None = None,
         growth: NDArray[np.float64] | None = None,
         onset_ns: NDArray[np.int64] | None = None,
-        known: NDArray[np.bool_] | None = None,
     ) -> None: ...
 
 def evidence_of(

@@ -334,8 +334,7 @@ cdef class ChainRows:
         How many times its sizes evidence of each of the first m alarms has to reach; 1 where it is left out.
     changed : intp (n,), optional
         The alarm of which a sudden change is named at each row, -1 for none; with its ``nats``, ``size`` and
-        ``growth`` a second, float64, and ``onset_ns``, int64 (n,); and ``known``, bool (n, m), whose effect was taken
-        out before that.
+        ``growth`` a second, float64, and ``onset_ns``, int64 (n,).
     """
 
     cdef tuple alarms
@@ -347,16 +346,14 @@ cdef class ChainRows:
     cdef const double[:, :] scale
     cdef const double[:] nats, size, growth
     cdef const int64_t[:] onset_ns
-    cdef const uint8_t[:, :] known
 
     def __init__(self, alarms, position, times_ns, restart, evidence, speaking, scale=None, changed=None, nats=None,
-                 size=None, growth=None, onset_ns=None, known=None):
+                 size=None, growth=None, onset_ns=None):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
         self.restart, self.evidence, self.speaking = restart, evidence, speaking
         self.scale = scale
         self.changed, self.nats, self.size, self.growth, self.onset_ns = changed, nats, size, growth, onset_ns
-        self.known = known
 
     cdef void supersede(self, Py_ssize_t alarm) noexcept:
         """Wait no longer for the estimate to show sudden changes of other channels: it shows this one."""
@@ -371,11 +368,9 @@ cdef class ChainRows:
         cdef AlarmState other
         if self.changed is None or self.changed[row] != alarm:
             return change
-        # While another fault is active, and as it ends, what changes is that one, unless its effect was taken out.
+        # While another fault is active, and as it ends, what changes is that one.
         for i in range(len(self.alarms)):
             other = <AlarmState>self.alarms[i]
-            if i < self.known.shape[1] and self.known[row, i]:
-                continue
             if i != alarm and (other.active or other.ended_ns >= self.onset_ns[row]):
                 return change
         change = Change(self.nats[row], self.size[row], self.growth[row], self.onset_ns[row])

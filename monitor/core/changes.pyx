@@ -24,14 +24,6 @@ cdef double NOISE_OF_AXIS = 1.0
 cdef double LEVEL_CLIP = 9.0
 # Losses that can be one. Chosen: a quarter more than everything, for sizes of the first samples are rough.
 cdef double LARGEST_LOSS = 1.25
-# A change that leaves less than this share of itself of a known loss ended it, and one whose end explains more than
-# this share of what another motor's loss does may be its end. Chosen: halfway between none and all.
-cdef double ENDED_SHARE = 0.5
-# A sudden change takes a known loss back where it is so far from it at most, as a share of it and in deviations. First
-# sizes are off by a sixth (docs/thresholds.md); of what is nearer only the yaw axis tells another motor's loss.
-cdef double END_APART = 0.25, END_DEVIATIONS = 3.0
-# How long an observer is on its way from several faults to one: WAIT_S of monitor.core.alarms.
-cdef double SETTLED_S = 1.0
 # Smallest determinant of two onsets' information, as a share of the product of its diagonal, with which both are fitted
 # together: below it they are one and the difference is rounding.
 cdef double SMALLEST_DETERMINANT = 1e-9
@@ -41,13 +33,6 @@ cdef struct Fitted:
     # how well a hypothesis explains the window at its best onset: nats, size with its variance, and the onset's age
     double nats, size, variance
     Py_ssize_t age
-
-
-cdef Py_ssize_t known_losses(const double[::1] lost) noexcept:
-    cdef Py_ssize_t j, count = 0
-    for j in range(lost.shape[0]):
-        count += lost[j] != 0.0
-    return count
 
 
 cdef class ChangeTest:
@@ -92,10 +77,6 @@ cdef class ChangeTest:
         Largest |z| that counts.
     level_rows : float
         Time constant in rows with which the noise's own level is followed.
-    certain, least : float, ndarray
-        Nats and size (m,), as a part of full command, from which a loss that is older than lag and whitening remember
-        is known: what it makes of the innovations is taken out of them, so that the next change is seen as the first
-        was. Infinite: nothing is ever known.
     """
 
     cdef double[:, ::1] dynamics, curves, variance
@@ -104,7 +85,7 @@ cdef class ChangeTest:
     cdef double[:, :, ::1] whitening, impulse, direct, additions
     cdef double[:, ::1] grown
     cdef Py_ssize_t n, s, p, m, S, H, L, P, D, depth, length, hold, window, nameable
-    cdef double clip, follow, limit, rate_hz, certain
+    cdef double clip, follow, limit, rate_hz
     cdef bint driven
     # what is kept from row to row: v, innovations, |y| and |B dv|, newest at ``at`` of rings
     cdef double[:, ::1] v, acting, innovation, excited
@@ -117,14 +98,14 @@ cdef class ChangeTest:
     # onset begun last is at ``newest``
     cdef double[:, ::1] moment, information, mixed
     cdef double[::1] energy
-    # nats of each actuator's sudden loss, and how much each actuator is known to have lost
-    cdef double[::1] sudden, lost, least
-    cdef Py_ssize_t begun, newest, known, commands, several
+    # nats of each actuator's sudden loss
+    cdef double[::1] sudden
+    cdef Py_ssize_t begun, newest, known, commands
     cdef int64_t row
     cdef bint has_y
 
     def __init__(self, dynamics, curves, taps, judged, actuators, additions, grown, owner, sudden, nameable, driven,
-                 largest, rate_hz, whitening, variance, hold, window, clip, level_rows, certain, least):
+                 largest, rate_hz, whitening, variance, hold, window, clip, level_rows):
         self.dynamics, self.curves = np.ascontiguousarray(dynamics, float), np.ascontiguousarray(curves, float)
         self.taps, self.variance = np.ascontiguousarray(taps, float), np.ascontiguousarray(variance, float)
         self.judged, self.actuators = np.asarray(judged, np.intp), np.asarray(actuators, np.intp)
@@ -137,7 +118,7 @@ cdef class ChangeTest:
         self.owner = np.concatenate([np.arange(self.m)] * 3 + [np.asarray(owner)]).astype(np.intp)
         self.nameable, self.driven, self.limit, self.rate_hz = nameable, driven, largest, rate_hz
         self.H, self.depth = 3 * self.m + self.S, self.P + self.L
-        self.hold, self.window, self.clip, self.certain = max(1, hold), max(2, window), clip, certain
+        self.hold, self.window, self.clip = max(1, hold), max(2, window), clip
         # The ring of v holds what the deepest lag needs, that of innovations what the whitening needs.
         self.length = max(self.depth + 2, self.P + 1)
         self.v, self.acting = np.zeros((2, self.length, self.s))
@@ -147,9 +128,7 @@ cdef class ChangeTest:
         self.whitened, self.sigma, self.certainty = np.zeros(self.p), np.ones(self.p), np.ones(self.p)
         self.level, self.follow = np.ones(self.p), 1.0 / level_rows
         self.partial, self.behind, self.delayed = np.zeros((3, self.m, self.p))
-        self.later, self.growing = np.zeros((self.H, self.p)), np.zeros(self.p)
-        self.sudden, self.lost = np.zeros((2, self.m))
-        self.least = np.ascontiguousarray(least, float)
+        self.later, self.sudden, self.growing = np.zeros((self.H, self.p)), np.zeros(self.m), np.zeros(self.p)
         self.along, self.square, self.cross = np.zeros((3, self.H))
         self.is_sudden = np.repeat([1, 0], [2 * self.m, self.m]).astype(np.uint8)
         self.is_sudden = np.concatenate([self.is_sudden, np.asarray(sudden)]).astype(np.uint8)
@@ -175,12 +154,7 @@ cdef class ChangeTest:
         self.has_y = False
         self.level[:] = 1.0
         self.known = self.commands = 0
-        self.forget()
         self.drop_onsets()
-
-    cdef void forget(self) noexcept:
-        self.lost[:] = 0.0
-        self.several = 0
 
     cdef void drop_onsets(self) noexcept:
         self.begun, self.newest = 0, self.window - 1
@@ -203,9 +177,7 @@ cdef class ChangeTest:
 
     def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] usable, const uint8_t[:] restart,
             const uint8_t[:] armed, const double[:, :] believed):
-        """Return the named fault (N,), -1 for none, with nats, size, its growth a second and sd, rows since (N,),
-        how much each actuator is known to have lost since before (N, m), and whether several are, or were a second ago
-        (N,).
+        """Return the named fault (N,), -1 for none, with nats, size, its growth a second and sd, and rows since (N,).
 
         The size of an actuator's fault is the share of its effect that it lost; that of a sensor is given as it is.
 
@@ -219,65 +191,41 @@ cdef class ChangeTest:
             Signed size of each actuator's fault as the observer believes it.
         """
         cdef Py_ssize_t k, count = u.shape[0]
-        results = (
-            np.full(count, -1, np.intp), *np.zeros((4, count)), np.zeros(count, np.int64), np.zeros((count, self.m)),
-        )
-        several = np.zeros(count, np.bool_)
+        results = np.full(count, -1, np.intp), *np.zeros((4, count)), np.zeros(count, np.int64)
         cdef Py_ssize_t[::1] named = results[0]
         cdef double[::1] nats = results[1], size = results[2], growth = results[3], sd = results[4]
         cdef int64_t[::1] age = results[5]
-        cdef double[:, ::1] lost = results[6]
-        cdef uint8_t[::1] many = several
         cdef Fitted found
         for k in range(count):
             self.take(u, y, k, usable[k], restart[k])
             if self.known <= self.P or self.commands <= self.depth or not armed[k]:
-                self.forget()
                 self.drop_onsets()
                 continue
             self.whiten()
             self.accumulate()
-            lost[k, :] = self.lost
-            self.several = max(0, self.several - 1)
-            if known_losses(self.lost) > 1:
-                self.several = <Py_ssize_t>(SETTLED_S * self.rate_hz)
-            many[k] = self.several > 0
             named[k] = self.judge(believed[k], &found, &growth[k])
             if named[k] >= 0:
                 nats[k], size[k], sd[k], age[k] = found.nats, found.size, sqrt(found.variance), found.age
-                if named[k] < self.m and found.nats >= self.certain and found.age >= self.depth:
-                    self.learn(named[k], found.size, u[k, self.actuators[named[k]]], believed[k])
-        return *results, several
-
-    cdef void learn(self, Py_ssize_t actuator, double size, double command, const double[:] believed) noexcept:
-        """Know from now on how much an actuator lost, where the observer agrees: of one after the other it cannot."""
-        cdef double effect = self.effect(self.actuators[actuator], command)
-        cdef double left = self.effect(self.actuators[actuator], command - self.least[actuator])
-        if self.lost[actuator] == 0.0:
-            if fabs(size * effect) < fabs(effect - left):
-                return
-            if (known_losses(self.lost) == 0 or size < 0.0) and not size * believed[actuator] < 0.0:
-                return
-        if fabs(size) < ENDED_SHARE * fabs(size - self.lost[actuator]):
-            size = 0.0
-        self.lost[actuator] = size
-        self.drop_onsets()
+        return results
 
     cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, bint usable, bint restart) noexcept:
         """Follow one row: v, the innovation nu = y - (A y- + B v- + c), and what excites the model's errors."""
         cdef Py_ssize_t i, j, d, row, before
-        cdef double value, moved, command
+        cdef double value, power, moved, command
         if restart:
             self.clear()
         self.row += 1
         row = self.row % self.length
         before = (self.row - 1) % self.length
         for j in range(self.s):
-            command = u[k, j]
+            value, power, command = 0.0, 1.0, u[k, j]
             if not fabs(command) < self.limit:
                 # What was commanded is not known as long as lag and whitening remember it.
                 self.commands, command = -1, 0.0
-            self.v[row, j] = self.effect(j, command)
+            for d in range(self.curves.shape[1]):
+                power *= command
+                value += self.curves[j, d] * power
+            self.v[row, j] = value
             # What the lag lets through: it acts on this row.
             self.acting[row, j] = 0.0
             for d in range(min(self.L, self.commands)):
@@ -309,15 +257,6 @@ cdef class ChangeTest:
         for j in range(self.n):
             self.last_y[j] = y[k, j]
 
-    cdef double effect(self, Py_ssize_t j, double command) noexcept:
-        """Return v of an input."""
-        cdef Py_ssize_t d
-        cdef double value = 0.0, power = 1.0
-        for d in range(self.curves.shape[1]):
-            power *= command
-            value += self.curves[j, d] * power
-        return value
-
     cdef double largest(self, Py_ssize_t column) noexcept:
         """Return the largest of the last rows: as many as there were since the restart, ``hold`` at most."""
         cdef Py_ssize_t i
@@ -332,11 +271,6 @@ cdef class ChangeTest:
         cdef double e, rate, moved, square, length = 0.0, weight
         for i in range(self.p):
             e = self.innovation[self.row % self.length, i]
-            for j in range(self.m):
-                if self.lost[j] != 0.0:
-                    for lag in range(self.depth):
-                        e -= (self.lost[j] * self.impulse[lag, j, i]
-                              * self.v[(self.row - 1 - lag) % self.length, self.actuators[j]])
             for lag in range(self.P):
                 for j in range(self.p):
                     e -= self.whitening[lag, i, j] * self.innovation[(self.row - 1 - lag) % self.length, j]
@@ -443,29 +377,18 @@ cdef class ChangeTest:
             after = place
         return best
 
-    cdef double against(self, Py_ssize_t h, const Fitted* found, const double[:] believed) noexcept:
-        """Return the nats against an actuator that delivers more than before; for it, where that ends a known loss."""
-        cdef double known = self.lost[self.owner[h]]
-        if known <= 0.0:
-            return 0.0 if believed[self.owner[h]] < 0.0 else AGAINST_GAIN
-        if h >= 2 * self.m:
-            return 0.0
-        if fabs(known + found.size) > END_APART * known + END_DEVIATIONS * sqrt(found.variance):
-            return AGAINST_GAIN
-        return -AGAINST_GAIN
-
     cdef Py_ssize_t judge(self, const double[:] believed, Fitted* chosen, double* growth) noexcept:
         """Return the fault whose change explains the window best, beyond doubt, else -1."""
         cdef Py_ssize_t h, owner, best = -1, place
         cdef double prior, first = -1e300, second = -1e300, unexplained
         cdef Fitted found
-        cdef double grown = 1.0, ending = 0.0
+        cdef double grown = 1.0
         for owner in range(self.m):
             self.sudden[owner] = 0.0
         for h in range(self.H):
             found, owner = self.fit(h), self.owner[h]
-            prior = self.against(h, &found, believed) if h < 3 * self.m and found.size < 0.0 else 0.0
-            ending = max(ending, found.nats) if prior < 0.0 else ending
+            # A loss that ends is no actuator that delivers more.
+            prior = AGAINST_GAIN if h < 3 * self.m and found.size < 0.0 and not believed[owner] < 0.0 else 0.0
             if h < 2 * self.m:
                 self.sudden[owner] = max(self.sudden[owner], found.nats - prior)
             elif h < 3 * self.m and (
@@ -482,9 +405,6 @@ cdef class ChangeTest:
                 second = found.nats - prior
         if best < 0 or self.owner[best] >= self.nameable or first - second < MARGIN:
             return -1
-        # In the first rows the yaw axis, which alone tells the end of a loss from the loss of the opposite motor, errs.
-        if ending > ENDED_SHARE * chosen.nats and not chosen.size < 0.0 and chosen.age < self.depth:
-            return -1
         place = (self.newest - chosen.age + self.window) % self.window
         unexplained = self.energy[place] - chosen.nats
         if unexplained > UNEXPLAINED_SHARE * chosen.nats + NOISE_OF_AXIS * self.p * (chosen.age + 1):
@@ -498,8 +418,6 @@ cdef class ChangeTest:
             growth[0], grown = chosen.size, chosen.age / self.rate_hz
         chosen.size *= grown
         chosen.variance *= grown * grown
-        if best < 3 * self.m:
-            chosen.size += self.lost[self.owner[best]]
-            if chosen.size > LARGEST_LOSS:
-                return -1
+        if best < 3 * self.m and chosen.size > LARGEST_LOSS:
+            return -1
         return self.owner[best]

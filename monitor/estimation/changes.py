@@ -24,9 +24,6 @@ so t_0 is fitted, too. The actuator with the largest g_j is named where it is fa
 among them, and explains most of what the window holds (:mod:`monitor.core.changes`). A loss grows where that explains
 it better than any sudden one. The observer says how large the fault is afterwards.
 
-A loss that is certain, and older than lag and filters remember, is known: what it makes of e is taken out from then on,
-and the test goes on for the next change, of the same motor or of another one.
-
 An output that is no state is predicted from as many samples as its block of the model has states: with the block's
 characteristic polynomial, z^n + a_1 z^(n-1) + ... + a_n, sum_l a_l y(k - l) hangs on inputs alone (Cayley, Hamilton).
 
@@ -35,7 +32,6 @@ Sources: Willsky and Jones, IEEE Trans. Automatic Control 21(1), 1976; Lai, IEEE
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -97,8 +93,6 @@ class ChangeRun(NamedTuple):
     growth: NDArray[np.float64]
     sd: NDArray[np.float64]
     onset_ns: NDArray[np.int64]  # vehicle time of its onset (n,)
-    known: NDArray[np.float64]  # size of each fault whose effect was taken out before (n, a), zero for none
-    several: NDArray[np.bool_]  # where several are known, or were a second ago (n,): no hypothesis of a bank has them
 
 
 def read_changes(table: Table, outputs: Sequence[str]) -> ChangeRule:
@@ -137,19 +131,10 @@ class ChangeStage:
     """The test as one stage of an observer's chain.
 
     ``inputs`` has the index of the input that each fault of the observer scales, None where it scales none. The test
-    names the former, or where the rule says so sensors: outputs that are no states are then predicted. ``certain``
-    and ``least`` are nats and size, in the unit of its command, from which the change of an actuator is known.
+    names the former, or where the rule says so sensors: outputs that are no states are then predicted.
     """
 
-    def __init__(
-        self,
-        plant: Plant,
-        rate_hz: float,
-        inputs: Mapping[str, int | None],
-        rule: ChangeRule,
-        certain: float = math.inf,
-        least: Mapping[str, float] | None = None,
-    ) -> None:
+    def __init__(self, plant: Plant, rate_hz: float, inputs: Mapping[str, int | None], rule: ChangeRule) -> None:
         named = [*rule.lasts_s] or [name for name, source in inputs.items() if source is not None]
         self._faults = np.array([list(inputs).index(name) for name in named], np.intp)
         sources = [] if rule.lasts_s else [inputs[name] for name in named]
@@ -166,8 +151,6 @@ class ChangeStage:
             "clip": CLIP,
             "level_rows": LEVEL_S * rate_hz,
             "rate_hz": rate_hz,
-            "certain": certain,
-            "least": np.array([(least or {}).get(name, 0.0) for name in named]),
             "nameable": len(named),
             "judged": judged,
             "actuators": self._inputs,
@@ -240,16 +223,14 @@ class ChangeStage:
 
     def run(self, samples: Samples, armed: NDArray[np.bool_], believed: NDArray[np.float64]) -> ChangeRun:
         """Process n samples; ``armed`` says which are evidence (n,), ``believed`` each fault's size (n, a)."""
-        named, nats, size, growth, sd, age, lost, several = self._test.run(
+        named, nats, size, growth, sd, age = self._test.run(
             *self._given(samples), armed, believed[:, self._faults] if len(self._inputs) else believed[:, :0]
         )
         if len(self._inputs):
             size, growth = -size, -growth
         onset_ns = samples.vehicle_time_ns - np.round(age * self._step_ns).astype(np.int64)
         fault = np.where(named < 0, -1, self._faults[named])
-        known = np.zeros(believed.shape)
-        known[:, self._faults[: lost.shape[1]]] = -lost
-        return ChangeRun(fault, nats, size, growth, sd, onset_ns, known, several)
+        return ChangeRun(fault, nats, size, growth, sd, onset_ns)
 
     def _given(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return u and y with those of the sample before beside them, as far as the prediction asks for them."""
