@@ -22,7 +22,7 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
-from accounting import false_alarms, spells, verdict
+from accounting import ONSET_MS, false_alarms, spells, verdict
 from distortions import DISTORTIONS, distorted
 from flights import Fault, Flight, read_flights
 
@@ -130,10 +130,12 @@ def outcomes(flight: Flight, profile: Profile, seeds: int, links: Sequence[str])
 
 
 def _delay(fault: Fault, events: Sequence[tuple[int, AlarmEvent]], onset_ns: int) -> float:
+    # the onset is known as exactly as the verdict takes it
+    since_ms = fault.on_ms - ONSET_MS
     return next(
         (at - onset_ns) / 1e9
         for at, event in events
-        if event.state == "raised" and event.channel in fault.channels and event.vehicle_time_ms >= fault.on_ms
+        if event.state == "raised" and event.channel in fault.channels and event.vehicle_time_ms >= since_ms
     )
 
 
