@@ -184,6 +184,23 @@ def test_attitudes_are_compared_by_the_shorter_way_round(tmp_path: Path) -> None
     assert "attitude_not_followed" not in [one.rule.name for one in review.findings]
 
 
+def test_an_attitude_is_not_judged_where_nothing_tells_what_the_motors_were_commanded() -> None:
+    times = np.arange(600) / 10
+    attitude = LogSignal(times, np.zeros((600, 3)), ("roll", "pitch", "yaw"), "", "attitude")
+    attitude.values[300:340, 0] = 170.0
+    wanted = LogSignal(times, np.zeros((600, 3)), ("roll", "pitch", "yaw"), "", "wanted")
+    facts = LogFacts(
+        autopilot="ArduPilot",
+        vehicle="multirotor",
+        start_ns=0,
+        duration_s=60.0,
+        armed=((0.0, 60.0),),
+        flight=((1.0, 58.0),),
+        signals={"attitude": attitude, "attitude_wanted": wanted},
+    )
+    assert names(judged(Path("carried.bin"), facts)) == []
+
+
 def test_what_began_sooner_comes_first(tmp_path: Path) -> None:
     flight = Flight(ratio=between(25.0, 28.0, 2.0, 0.1), height=fallen, motors=stopped, landed=LANDED_THERE.landed)
     review = rules_on(px4_log(tmp_path / "flight.ulg", flight))

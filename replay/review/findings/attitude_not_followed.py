@@ -27,7 +27,9 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     end_s = lost_s(facts)
     # what came before the motors were stopped, and the tumbling itself
     judged = facts.in_flight(times) & (times < end_s + _APART_S)
-    far = (apart > _APART_DEG).any(axis=1) & judged & (times - times[0] > 0)
+    far = (apart > _APART_DEG).any(axis=1) & judged
+    # what never followed has not stopped to: an estimator that does not know its attitude yet
+    far &= np.logical_or.accumulate(judged & ~far)
     for start, end in spans_where(times, far, _APART_S)[:1]:
         within = (times >= start) & (times <= end)
         axis = int(np.argmax(np.nanmax(apart[within], axis=0)))
@@ -55,9 +57,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
 
 def _saturated(facts: LogFacts, at_s: float) -> tuple[str, tuple[str, ...]]:
     """Return which motor was at full command about a time, in words."""
-    motors = facts.signals.get("motors")
-    if motors is None:
-        return "", ()
+    motors = facts.signals["motors"]
     about = motors.during(at_s - 1.0, at_s + 1.0)
     most = zip(about.names, np.nanmax(about.values, axis=0, initial=0.0), strict=True)
     full = [name for name, value in most if value > _FULL]
@@ -74,7 +74,7 @@ RULE = Rule(
     "Where they do not (a motor lost, a load, a blow), the attitude leaves it.",
     evidence="30 degrees apart for half a second in flight, while motors were commanded to turn",
     counter="motors were stopped before; fast flight at full sticks, which is behind for less",
-    needs=("attitude", "attitude_wanted"),
+    needs=("attitude", "attitude_wanted", "motors"),
     judge=_judge,
     multirotor=True,
     least_hz=7.5,  # of half a second four samples

@@ -45,7 +45,7 @@ RULE = Rule(
     physics="With a motor or a propeller gone, or with a wrong attitude, a multirotor tumbles within a second.",
     evidence="roll or pitch beyond 100 degrees for 0.3 s in flight",
     counter="flips in acro modes; a fall after motors were stopped",
-    needs=("attitude",),
+    needs=("attitude", "motors"),
     judge=_judge,
     multirotor=True,
 )
