@@ -9,7 +9,7 @@ are no evidence.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -44,6 +44,21 @@ def raw_per_sample(transform: str, signal_rate_hz: float, rate_hz: float) -> int
             f"{rate_hz:g} Hz; choose a rate that divides the signals' rate"
         )
     return size
+
+
+def check_parameters(
+    kind: str, parameters: Mapping[str, float], needed: Collection[str], optional: Collection[str] = ()
+) -> None:
+    """Make sure that a transform has all parameters that it needs, and none that it does not know.
+
+    Raises
+    ------
+    TelemetryError
+        One is missing or unknown: the profile was written by another version, or by hand.
+    """
+    if wrong := sorted((set(needed) ^ set(parameters)) - set(optional)):
+        verb = "is unknown" if wrong[0] in parameters else "is missing"
+        raise TelemetryError(f"transform '{kind}': '{wrong[0]}' {verb}; fit the profile again")
 
 
 class ScaledInputs(ABC):

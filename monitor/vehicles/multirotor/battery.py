@@ -47,6 +47,7 @@ from monitor.fitting.thresholds import (
     plain_only,
 )
 from monitor.sampling.gate import GateRule
+from monitor.sampling.scaled import check_parameters
 from monitor.sampling.supply import BATTERY_MESSAGE
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.signals import multirotor_channels
@@ -110,9 +111,7 @@ class BatteryInputs:
     inputs, outputs = ("battery", "ohm", "current", "left_s"), ("resistance",)
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
-        if wrong := sorted({"ohm", "doubt", "charge"} ^ (set(parameters) - {"memory_s"})):
-            verb = "is unknown" if wrong[0] in parameters else "is missing"
-            raise TelemetryError(f"transform 'battery': '{wrong[0]}' {verb}; fit the profile again")
+        check_parameters("battery", parameters, ("ohm", "doubt", "charge"), optional=("memory_s",))
         if not (0.0 < parameters["ohm"] < 1e3 and parameters["doubt"] > 0.0 and 0.0 <= parameters["charge"] < 1e9):
             raise TelemetryError("transform 'battery': 'ohm' or 'doubt' is not above 0, or 'charge' negative")
         memory_s = parameters.get("memory_s", _MEMORIES_S[-1])

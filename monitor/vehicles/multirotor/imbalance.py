@@ -45,11 +45,11 @@ from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
 from monitor.sampling.gate import GateRule
-from monitor.sampling.scaled import raw_per_sample
+from monitor.sampling.scaled import check_parameters, raw_per_sample
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.signals import multirotor_channels
 from monitor.vehicles.multirotor.speeds import motor_speeds
-from monitor.vehicles.multirotor.transform import OneTickLater
+from monitor.vehicles.multirotor.transform import OneTickLater, motor_outputs
 from monitor.vehicles.multirotor.vibration import OBSERVER as SHAKING
 
 Array = NDArray[np.float64]
@@ -116,14 +116,10 @@ class ImbalanceInputs:
     """
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
-        numbers: list[int] = []
-        while (key := f"output{len(numbers) + 1}") in parameters:
-            numbers.append(int(parameters[key]))
-        wanted = {"least", *(f"output{at}" for at in range(1, len(numbers) + 1))}
-        wanted |= {name for n in numbers for name in (f"rpm{n}", f"c{n}_0", f"c{n}_1")}
-        if wrong := sorted(wanted ^ set(parameters)):
-            verb = "is unknown" if wrong[0] in parameters else "is missing"
-            raise TelemetryError(f"transform 'imbalance': '{wrong[0]}' {verb}; fit the profile again")
+        outputs = motor_outputs(parameters)
+        numbers = list(outputs.values())
+        learned = (name for n in numbers for name in (f"rpm{n}", f"c{n}_0", f"c{n}_1"))
+        check_parameters("imbalance", parameters, {"least", *outputs, *learned})
         if not numbers or min(parameters["least"], *(parameters[f"rpm{n}"] for n in numbers)) <= 0.0:
             raise TelemetryError("transform 'imbalance': no motors, or 'least' or a speed of hovering is not above 0")
         self.signals = (*_AXES, *(f"rpm{n}" for n in numbers))

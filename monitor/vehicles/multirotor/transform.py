@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
 from monitor.core.lagged import LaggedMeans
-from monitor.sampling.scaled import raw_per_sample
+from monitor.sampling.scaled import check_parameters, raw_per_sample
 
 Array = NDArray[np.float64]
 
@@ -113,6 +113,14 @@ class OneTickLater:
         )
 
 
+def motor_outputs(parameters: Mapping[str, float]) -> dict[str, int]:
+    """Return the numbers of the motors' outputs by their parameters, ``output1`` and so on as far as they go."""
+    outputs: dict[str, int] = {}
+    while (key := f"output{len(outputs) + 1}") in parameters:
+        outputs[key] = int(parameters[key])
+    return outputs
+
+
 class EscInputs:
     """Samples of a multirotor's speed controllers: expected and measured speed, and current where it is measured.
 
@@ -135,17 +143,14 @@ class EscInputs:
     """
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
-        numbers: list[int] = []
-        while (key := f"output{len(numbers) + 1}") in parameters:
-            numbers.append(int(parameters[key]))
+        outputs = motor_outputs(parameters)
+        numbers = list(outputs.values())
         currents = any(key.startswith("amps") for key in parameters)
         kinds = ("rpm", "amps") if currents else ("rpm",)
         curves = [f"{kind}{n}" for kind in kinds for n in numbers]
-        wanted = {"delay_s", "lag_s", "volts", *(f"output{at}" for at in range(1, len(numbers) + 1)), *curves}
-        wanted |= {f"{name}_c{term}" for name in curves for term in range(TERMS)}
-        if wrong := sorted((wanted ^ set(parameters)) - {"curves", "least", "fastest"}):
-            verb = "is unknown" if wrong[0] in parameters else "is missing"
-            raise TelemetryError(f"transform 'esc': '{wrong[0]}' {verb}; fit the profile again")
+        terms_of = (f"{name}_c{term}" for name in curves for term in range(TERMS))
+        needed = {"delay_s", "lag_s", "volts", *outputs, *curves, *terms_of}
+        check_parameters("esc", parameters, needed, optional=("curves", "least", "fastest"))
         if (curves_of := parameters.get("curves", 1.0)) not in (1.0, 2.0):
             raise TelemetryError(f"transform 'esc': 'curves' is {curves_of:g}; 1 or 2")
         self._terms = terms if curves_of == 2.0 else _terms_of_old

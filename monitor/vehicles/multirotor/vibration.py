@@ -32,7 +32,7 @@ from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
 from monitor.sampling.gate import GateRule
-from monitor.sampling.scaled import raw_per_sample
+from monitor.sampling.scaled import check_parameters, raw_per_sample
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.identify import RATE_AXES
 from monitor.vehicles.multirotor.signals import multirotor_channels
@@ -95,10 +95,7 @@ class VibrationInputs:
     inputs, outputs = ("expected",), ("level", "clips")
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
-        wanted = {"motors", "least", "c0", "c1", "c2", "c3"}
-        if wrong := sorted(wanted ^ set(parameters)):
-            verb = "is unknown" if wrong[0] in parameters else "is missing"
-            raise TelemetryError(f"transform 'vibration': '{wrong[0]}' {verb}; fit the profile again")
+        check_parameters("vibration", parameters, ("motors", "least", "c0", "c1", "c2", "c3"))
         if not (1.0 <= parameters["motors"] <= 16.0 and parameters["least"] > 0.0):
             raise TelemetryError("transform 'vibration': 'motors' is none of 1 to 16, or 'least' not above 0")
         size = raw_per_sample("vibration", signal_rate_hz, rate_hz)
