@@ -13,6 +13,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 from adapters.channels import Channel, channel_table, read_channel
@@ -261,43 +262,29 @@ def _spread(table: Table, faults: Collection[str]) -> dict[str, float]:
     return found
 
 
-def observer_table(
-    *,
-    source: SampleSource,
-    isolation: IsolationRule,
-    alarms: Sequence[AlarmRule],
-    settle_s: float = 0.0,
-    effectiveness: Mapping[str, EffectivenessRule] | None = None,
-    changes: ChangeRule | None = None,
-    excitation: ExcitationRule | None = None,
-    envelope: Envelope | None = None,
-    spread: Mapping[str, float] | None = None,
-    supply: SupplyRule | None = None,
-    sees: Mapping[str, str] | None = None,
-) -> dict[str, Any]:
+def observer_table(observer: ObserverProfile, sees: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
     """Return an observer's part of profile.toml, as :func:`read_profile` reads it back.
 
     ``sees`` says by channel what its alarm detects: for people, nothing reads it.
     """
-    said = sees or {}
     table: dict[str, Any] = {
-        **({"settle_s": settle_s} if settle_s else {}),
-        **source_table(source),
-        "isolation": isolation_table(isolation),
-        "alarms": {rule.channel: _alarm_table(rule, said.get(rule.channel)) for rule in alarms},
+        **({"settle_s": observer.settle_s} if observer.settle_s else {}),
+        **source_table(observer.source),
+        "isolation": isolation_table(observer.isolation),
+        "alarms": {rule.channel: _alarm_table(rule, sees.get(rule.channel)) for rule in observer.alarms},
     }
-    if changes is not None:
-        table["changes"] = changes_table(changes)
-    if excitation is not None:
-        table["excitation"] = excitation_table(excitation)
-    if envelope is not None:
-        table["envelope"] = envelope_table(envelope)
-    if supply is not None:
-        table["supply"] = supply_table(supply)
-    if spread:
-        table["spread"] = dict(spread)
-    if effectiveness:
-        table["effectiveness"] = {name: effectiveness_table(rule) for name, rule in effectiveness.items()}
+    if observer.changes is not None:
+        table["changes"] = changes_table(observer.changes)
+    if observer.excitation is not None:
+        table["excitation"] = excitation_table(observer.excitation)
+    if observer.envelope is not None:
+        table["envelope"] = envelope_table(observer.envelope)
+    if observer.supply is not None:
+        table["supply"] = supply_table(observer.supply)
+    if observer.spread:
+        table["spread"] = dict(observer.spread)
+    if observer.effectiveness:
+        table["effectiveness"] = {name: effectiveness_table(rule) for name, rule in observer.effectiveness.items()}
     return table
 
 

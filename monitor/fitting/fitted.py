@@ -173,21 +173,8 @@ class Fitted:
 
     def table(self) -> dict[str, Any]:
         """Return the observer's part of profile.toml."""
-        alarms = self.rules
         sees = {one.channel: capability_text(one).removeprefix(f"{one.channel}: ") for one in self.capability}
-        return observer_table(
-            source=self.source,
-            isolation=self.isolation,
-            alarms=alarms,
-            settle_s=self.settle_s,
-            effectiveness=self.effectiveness,
-            changes=self.changes,
-            excitation=self.excitation,
-            envelope=self.envelope,
-            spread=self.spread,
-            supply=self.supply,
-            sees=sees,
-        )
+        return observer_table(self.profile(), sees)
 
     def write(self, folder: Path) -> None:
         """Write model and gains into a profile's folder."""

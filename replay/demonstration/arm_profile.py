@@ -22,7 +22,9 @@ from monitor.fitting.calibrate import healthy_maxima
 from monitor.fitting.flights import flight_samples
 from monitor.profile import (
     PROFILE_FILE,
+    ObserverProfile,
     Profile,
+    fault_channels,
     observer_table,
     profile_table,
     read_profile,
@@ -92,8 +94,10 @@ def write_arm_profile(folder: Path) -> Profile:
             for name, kind, unit in zip(gains.faults, gains.fault_kinds, gains.fault_units, strict=True)
             if name in thresholds
         ]
-        table = observer_table(source=SampleSource(inputs, outputs), isolation=isolation, alarms=alarms)
-        content = profile_table(name="arm", vehicle="custom", gate=_GATE, observers={OBSERVER: table})
+        source, faults = SampleSource(inputs, outputs), fault_channels((gains,))
+        observer = ObserverProfile(OBSERVER, (gains,), faults, source, isolation, tuple(alarms))
+        observers = {OBSERVER: observer_table(observer)}
+        content = profile_table(name="arm", vehicle="custom", gate=_GATE, observers=observers)
         write_file(folder / PROFILE_FILE, toml_text(content))
         return read_profile(folder)
 
