@@ -388,29 +388,6 @@ def test_speed_controllers_that_are_logged_one_by_one_are_a_message_together() -
     assert (found[1].fields["voltage"], found[1].fields["current"]) == ([1600] * 4, [250] * 4)
 
 
-def test_failures_and_temperatures_of_speed_controllers_are_a_message() -> None:
-    esc = {"failures": 0, "esc_errorcount": 1, "esc_temperature": 35.5}
-    controllers = [{**esc, "failures": 8}, *[esc] * 7]
-    one = record("esc_status", 1000.0, counter=3, esc_count=4, esc_online_flags=15, esc=controllers)
-    [found] = made([one], "ESC_INFO")
-    fields = found.fields
-    assert (fields["count"], fields["info"], fields["failure_flags"]) == (4, 15, [8, 0, 0, 0])
-    assert (fields["error_count"], fields["temperature"]) == ([1] * 4, [3550] * 4)
-
-
-@pytest.mark.parametrize("values", [{"rpm_estimate": 5400.0}, {"indicated_frequency_rpm": 5400.0}])
-def test_a_sensor_of_turns_is_a_message_of_px4(values: dict[str, float]) -> None:
-    assert [one.fields["rpm1"] for one in made([record("rpm", 1000.0, **values)], "RPM")] == [5400.0]
-
-
-def test_sensors_of_turns_are_a_message_of_ardupilot() -> None:
-    old = [dataflash("RPM", 1000.0, rpm1=5400.0, rpm2=0.0)]
-    new = [dataflash("RPM", 1000.0, RPM=5400.0), dataflash("RPM/1", 1000.0, RPM=3.0)]
-    for records in (old, new):
-        made_of = [m for m in run(records, builtin_mapping("dataflash"), ["RPM"]) if m.source == MAVLINK]
-        assert made_of[0].fields["rpm1"] == 5400.0
-
-
 def test_the_mixers_battery_record_is_beside_what_the_controllers_ask_for() -> None:
     mixer = dataflash("MOTB", 1000.0, LiftMax=0.9, BatVolt=0.95, ThLimit=1.0, ThrAvMx=0.8, ThrOut=0.4)
     asked = dataflash("RATE", 1001.0, ROut=0.1, POut=0.2, YOut=0.0, AOut=0.5)

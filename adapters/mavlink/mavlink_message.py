@@ -152,11 +152,6 @@ _CODES = {
 }
 _SIZES = {kind: struct.calcsize("<" + code) for kind, code in _CODES.items()}
 _LACKING = {
-    290: (
-        "ESC_INFO",
-        "uint8_t index, uint64_t time_usec, uint16_t counter, uint8_t count, uint8_t connection_type, uint8_t info, "
-        "uint16_t[4] failure_flags, uint32_t[4] error_count, int16_t[4] temperature",
-    ),
     291: ("ESC_STATUS", "uint8_t index, uint64_t time_usec, int32_t[4] rpm, float[4] voltage, float[4] current"),
 }
 """Messages of MAVLink's common dialect, sent by PX4, that pymavlink's dialects lack: they are marked as work in

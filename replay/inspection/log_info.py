@@ -61,8 +61,6 @@ _INPUTS = {
     "ACTUATOR_CONTROL_TARGET": "torques and thrust that the controllers ask for",
     "ESC_STATUS": "speed, voltage and current of motors",
     **dict.fromkeys(ESC_MESSAGES, "speed, voltage and current of motors"),
-    "ESC_INFO": "failures, errors and temperatures of speed controllers",
-    "RPM": "turns of what sensors of their own watch",
     "SYS_STATUS": "voltage and current of the battery",
     "VIBRATION": "vibration and clipping of the accelerometers",
 }
