@@ -1,5 +1,6 @@
 """The battery's resistance against what was learned, and how long its charge lasts."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -11,6 +12,7 @@ from simulated_chain import OHM, Fault, flight
 from adapters.batch import Batch
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import packed
+from adapters.message import Message
 from adapters.sample import Samples, joined_samples
 from monitor.display import battery_text
 from monitor.fitting.fitted import FitRequest, Fitted
@@ -55,6 +57,31 @@ def test_a_resistance_that_doubles_is_an_alarm_that_says_what_is_left(profile: P
     assert raised.message.startswith("battery has ")
     assert "% more resistance than is usual: " in raised.message
     assert raised.message.endswith(" min left at this current")
+
+
+def in_cells(log: Iterable[Message]) -> Iterator[Message]:
+    """Yield a flight whose battery reports each of its four cells, another battery beside it, the whole seldom."""
+    for number, one in enumerate(log):
+        if one.name == "SYS_STATUS":
+            cell = one.fields["voltage_battery"] // 4
+            cells = [cell, cell, cell, one.fields["voltage_battery"] - 3 * cell, *[65_535] * 6]
+            fields = {name: one.fields[name] for name in ("current_battery", "battery_remaining")}
+            yield replace(one, name="BATTERY_STATUS", fields={"id": 0, "voltages": cells, **fields})
+            yield replace(one, name="BATTERY_STATUS", fields={"id": 1, "voltages": [5_000] * 10, **fields})
+        if one.name != "SYS_STATUS" or number % 5 == 0:
+            yield one
+
+
+def test_cells_that_are_reported_more_often_than_the_battery_are_added_up(fitted: Fitted) -> None:
+    log = list(packed(in_cells(quad(1, 45.0, sag_v=0.5))))
+    of_cells = fit_battery(request(log), GATE)
+    assert of_cells is not None
+    assert of_cells.findings["ohm"] == pytest.approx(OHM, rel=0.05)
+    assert of_cells.findings["rate_hz"] == fitted.findings["rate_hz"]
+    profile = Profile("quad", "multirotor", 0, GATE, 2.0, (of_cells.profile(),), (), {}, "")
+    raised, *_ = play(profile, in_cells(quad(9, 45.0, Fault("battery", 0, 1.0, onset_s=20.0)))).events
+    assert (raised.channel, raised.state) == ("battery", "raised")
+    assert "milliohms" in raised.message
 
 
 def test_half_as_much_resistance_more_is_an_alarm_of_its_size(profile: Profile) -> None:

@@ -16,7 +16,7 @@ from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
 from adapters.mavlink.heartbeat import ARMED, NO_AUTOPILOT, PX4, vehicle_type
 from adapters.message import LATEST_NS, Message
 from monitor.fitting.flight_rate import FlightRate
-from monitor.sampling.supply import BATTERY_MESSAGE
+from monitor.sampling.supply import BATTERY_MESSAGE, CELLS_MESSAGE
 
 MOTOR_MESSAGE = "SERVO_OUTPUT_RAW"
 MAX_OUTPUTS = 16
@@ -185,7 +185,7 @@ def _is_fix(fields: Mapping[str, Any]) -> bool:
 
 def _stamps(group: _Group) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return indices and time stamps, vehicle nanoseconds, of the messages that have one (k,)."""
-    if group.name in (*ESC_MESSAGES, BATTERY_MESSAGE):
+    if group.name in (*ESC_MESSAGES, BATTERY_MESSAGE, CELLS_MESSAGE):
         return group.position, group.received_ns
     times_ns = np.full(len(group.position), np.nan)
     columns = ((name, group.values[name]) for name in CLOCK_UNITS_NS if name in group.values)

@@ -17,6 +17,8 @@ from adapters.toml_tables import Table
 
 BATTERY_MESSAGE = "SYS_STATUS"
 """Voltage, current and charge of the first battery."""
+CELLS_MESSAGE = "BATTERY_STATUS"
+"""The same of each battery, with the voltage of each cell, or of all together in place of the first."""
 _FIELD = "voltage_battery"
 _VOLTS = 0.001
 """MAVLink gives millivolts."""

@@ -26,7 +26,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.channels import Channel
 from adapters.errors import ModelError, TelemetryError
 from adapters.sample import Given, Samples
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
@@ -48,9 +47,8 @@ from monitor.fitting.thresholds import (
 )
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters
-from monitor.sampling.supply import BATTERY_MESSAGE
 from monitor.sampling.transform import SampleSource, TransformRule
-from monitor.vehicles.multirotor.signals import multirotor_channels
+from monitor.vehicles.multirotor.signals import battery_channels, multirotor_channels
 
 Array = NDArray[np.float64]
 
@@ -85,6 +83,8 @@ _LEAST_USED = 0.03
 """Share of the charge that a flight has to use to tell how much there is: it is reported in whole per cent."""
 _LEAST_FILLED = 1e-9
 """Only at a restart is less of the memory filled."""
+_MOST_CELLS = 10
+"""Cells in a BATTERY_STATUS."""
 _LEAST_AMPS = 0.05
 """Amperes below which no time is told: a fifth of what an autopilot draws."""
 
@@ -96,7 +96,8 @@ class BatteryInputs:
     ----------
     parameters : Mapping[str, float]
         ``ohm``: usual resistance; ``doubt``: lambda, A^2; ``charge``: that of a full battery, As, 0 where it is not
-        known; ``memory_s``: time constant of the moments, 20 where it is left out.
+        known; ``memory_s``: time constant of the moments, 20 where it is left out; ``cells``: in how many parts the
+        voltage is reported, 1 where it is left out.
     signal_rate_hz, rate_hz : float
         Raw samples and given samples per second, which are the same.
 
@@ -106,17 +107,20 @@ class BatteryInputs:
         A parameter is missing, unknown or out of range, or the rates differ.
     """
 
-    # the last one is there for its time stamps: what is said of batteries has none
-    signals = ("volts", "amps", "left", "roll_rate")
     inputs, outputs = ("battery", "ohm", "current", "left_s"), ("resistance",)
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
-        check_parameters("battery", parameters, ("ohm", "doubt", "charge"), optional=("memory_s",))
+        check_parameters("battery", parameters, ("ohm", "doubt", "charge"), optional=("memory_s", "cells"))
         if not (0.0 < parameters["ohm"] < 1e3 and parameters["doubt"] > 0.0 and 0.0 <= parameters["charge"] < 1e9):
             raise TelemetryError("transform 'battery': 'ohm' or 'doubt' is not above 0, or 'charge' negative")
         memory_s = parameters.get("memory_s", _MEMORIES_S[-1])
         if not 1.0 <= memory_s <= 1e3:
             raise TelemetryError(f"transform 'battery': 'memory_s' is {memory_s:g}; from 1 to 1000")
+        cells = parameters.get("cells", 1.0)
+        if cells not in range(1, _MOST_CELLS + 1):
+            raise TelemetryError(f"transform 'battery': 'cells' is {cells:g}; a whole number up to {_MOST_CELLS}")
+        # the rate is there for its time stamps: what is said of batteries has none
+        self.signals = ("volts", "amps", "left", "roll_rate", *(f"volts{at}" for at in range(2, int(cells) + 1)))
         if signal_rate_hz != rate_hz:
             raise TelemetryError(f"transform 'battery': signals at {signal_rate_hz:g} Hz, samples at {rate_hz:g} Hz")
         self._ohm, self._doubt, self._charge = (parameters[name] for name in ("ohm", "doubt", "charge"))
@@ -147,7 +151,7 @@ class Moments:
         if not len(samples):
             return np.empty(0), np.empty(0), np.empty(0)
         everywhere = np.ones(len(samples), np.bool_)
-        volts, amps = samples.u[:, 0], samples.u[:, 1]
+        volts, amps = _voltage(samples), samples.u[:, 1]
         base = self._base.run(samples, [volts, amps, volts, amps], everywhere).samples.u
         v, i = volts - base[:, 0], amps - base[:, 1]
         # all begin at zero, so that the last one says how much of the memory is filled
@@ -155,6 +159,11 @@ class Moments:
         *mean, weight = self._means.run(samples, columns, everywhere).samples.u.T
         filled = np.maximum(weight, _LEAST_FILLED)
         return mean[2] - mean[0] * mean[1] / filled, mean[3] - mean[1] * mean[1] / filled, base[:, 1]
+
+
+def _voltage(samples: Samples) -> Array:
+    """Return the battery's voltage (n,): the sum of those of its cells, where they are reported."""
+    return np.asarray(samples.u[:, 0] + samples.u[:, 4:].sum(axis=1))
 
 
 def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
@@ -167,19 +176,11 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
     ModelError
         Too little healthy flight.
     """
-    reported_hz = min(survey.rate_hz.get(BATTERY_MESSAGE, 0.0) for survey in request.surveys)
+    reported, reported_hz = battery_channels(request.surveys)
     if reported_hz < _SLOWEST_HZ:
         return None
-    channels = tuple(
-        Channel(name, BATTERY_MESSAGE, (field,), scale=scale, interpolation="previous")
-        for name, field, scale in (
-            ("volts", "voltage_battery", 0.001),
-            ("amps", "current_battery", 0.01),
-            ("left", "battery_remaining", 0.01),
-        )
-    )
     _, outputs = multirotor_channels(request.surveys)
-    channels = (*channels, outputs[0])
+    channels = (*reported[:3], outputs[0], *reported[3:])
     rate_hz = float(f"{min(reported_hz, _FASTEST_HZ):.3g}")
     raw = [flight_samples(log(), SampleSource(inputs=channels), rate_hz, gate) for log in request.logs]
     parameters = _learned(raw, rate_hz)
@@ -220,14 +221,14 @@ def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float] | None:
     products, charge = np.zeros((2, 2)), []
     seconds = 0.0
     for flight in raw:
-        volts, amps, left, _ = flight.samples.u[flight.armed].T
-        seconds += len(volts) / rate_hz
-        if not len(volts) or not np.isfinite(flight.samples.u[flight.armed]).all() or not np.median(amps) > _LEAST_AMPS:
+        amps, left = flight.samples.u[flight.armed, 1:3].T
+        seconds += len(amps) / rate_hz
+        if not len(amps) or not np.isfinite(flight.samples.u[flight.armed]).all() or not np.median(amps) > _LEAST_AMPS:
             return None
         base = LaggedMeans([(0.0, _BASE_S)] * 2, rate_hz, 1, 2, 2)
-        columns = [*flight.samples.u[:, :2].T, *flight.samples.u[:, :2].T]
-        slow = base.run(flight.samples, columns, np.ones(len(flight), np.bool_)).samples.u
-        fast = (flight.samples.u[:, :2] - slow)[flight.armed]
+        both = np.column_stack([_voltage(flight.samples), flight.samples.u[:, 1]])
+        slow = base.run(flight.samples, [*both.T, *both.T], np.ones(len(flight), np.bool_)).samples.u
+        fast = (both - slow)[flight.armed]
         fast -= fast.mean(axis=0)
         products += fast.T @ fast
         if left[0] - left[-1] >= _LEAST_USED:
@@ -247,6 +248,8 @@ def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float] | None:
         doubt = max(noise / (memory_s * (_DOUBT * ohm) ** 2), 1e-6 * products[1, 1] / (seconds * rate_hz))
         full = float(np.median(charge)) if charge else 0.0
         values = {"ohm": ohm, "doubt": doubt, "charge": full, "memory_s": memory_s}
+        if (cells := raw[0].samples.u.shape[1] - 3) > 1:
+            values["cells"] = cells
         parameters = {name: float(f"{value:.6g}") for name, value in values.items()}
         known = np.concatenate([one.samples.u[one.armed, 1] for one in _transformed(raw, parameters, rate_hz)])
         if known.std() <= _SURE * ohm:

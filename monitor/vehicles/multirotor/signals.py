@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import log10
 
-from adapters.channels import STANDARD_GRAVITY, Channel
+from adapters.channels import STANDARD_GRAVITY, Channel, field_steps
 from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from monitor.fitting.survey import (
@@ -19,7 +19,7 @@ from monitor.fitting.survey import (
     common_rate_hz,
 )
 from monitor.sampling.phase import FlightPhase
-from monitor.sampling.supply import BATTERY_MESSAGE
+from monitor.sampling.supply import BATTERY_MESSAGE, CELLS_MESSAGE
 from monitor.vehicles.base import Preview
 from monitor.vehicles.multirotor.frames import frame_of
 from monitor.vehicles.multirotor.speeds import esc_signals
@@ -29,7 +29,7 @@ MESSAGES = (
     MOTION_MESSAGES
     | FlightPhase.interests
     | PARAMETER_MESSAGES
-    | {"ESC_STATUS", *ESC_MESSAGES, "VIBRATION", BATTERY_MESSAGE}
+    | {"ESC_STATUS", *ESC_MESSAGES, "VIBRATION", BATTERY_MESSAGE, CELLS_MESSAGE}
 )
 
 _STILL_US = 0.5
@@ -42,6 +42,8 @@ _PULSE_RANGE = (1000.0, 2000.0)
 """Pulses of zero and of full command, microseconds, as ArduPilot and PX4 have them by default."""
 _GAZEBO_RANGE = (150.0, 1000.0)
 """SIM_GZ_EC_MIN and SIM_GZ_EC_MAX of PX4's gz_x500: what its commands 0 to 1 of motors become."""
+_UNKNOWN = 65_535
+"""MAVLink's voltage of a cell that is not measured, or not there."""
 _FEWEST_MOTORS = 3
 """Tricopters are the smallest multirotors."""
 _ALIKE = 2.0
@@ -145,6 +147,34 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
         return inputs, outputs
     message, field, scale = vertical
     return inputs, (*outputs, Channel("vertical_acceleration", message, (field,), scale=scale))
+
+
+def battery_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...], float]:
+    """Return the channels of a battery's voltage, current and charge, and how many are reported in a second.
+
+    Of the two messages the one that comes more often; that of cells has a channel for the voltage of each further one.
+    """
+    rates = {name: min(one.rate_hz.get(name, 0.0) for one in surveys) for name in (BATTERY_MESSAGE, CELLS_MESSAGE)}
+    message = max(rates, key=lambda name: rates[name])
+    in_cells = message == CELLS_MESSAGE
+    volts = "voltages[0]" if in_cells else "voltage_battery"
+    taken = [("volts", volts, 0.001), ("amps", "current_battery", 0.01), ("left", "battery_remaining", 0.01)]
+    if in_cells:
+        cells = [one.examples.get(message, {}).get("voltages") or () for one in surveys]
+        further = min(sum(0 < cell < _UNKNOWN for cell in one[1:]) for one in cells)
+        taken += [(f"volts{at + 1}", f"voltages[{at}]", 0.001) for at in range(1, further + 1)]
+    channels = tuple(
+        Channel(
+            name,
+            message,
+            field_steps(field),
+            scale=scale,
+            where=(("id", 0),) if in_cells else (),
+            interpolation="previous",
+        )
+        for name, field, scale in taken
+    )
+    return channels, rates[message]
 
 
 def motor_commands(surveys: Sequence[Survey]) -> CommandRange:
