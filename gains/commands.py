@@ -114,17 +114,28 @@ def add_parsers(subparsers: Any) -> None:
     for scalar in _SCALARS:
         parser.add_argument(f"--{scalar}", type=float, metavar="X", help=f"{scalar} of theorem1 and theorem2")
     parser.add_argument(
+        "--fault-rate",
+        type=float,
+        metavar="PER_SECOND",
+        help="how fast the actuator faults may move: more follows faster (what the model says)",
+    )
+    parser.add_argument(
+        "--faults", metavar="NAME,...", help="design for these of the model's faults alone, as one hypothesis of a bank"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.set_defaults(handler=run_design)
+    _add_convex_options(parser.add_argument_group("convex design"))
+    _add_check(subparsers)
+
+
+def _add_convex_options(parser: argparse._ArgumentGroup) -> None:
+    """Add what only the convex design knows: where poles may lie, what gains cost, what is proven."""
+    parser.add_argument(
         "--pole-radius",
         type=float,
         default=1.0,
         metavar="R",
         help="largest size of a pole of the estimation error, in (0, 1]: less settles faster (1)",
-    )
-    parser.add_argument(
-        "--fault-rate",
-        type=float,
-        metavar="PER_SECOND",
-        help="how fast the actuator faults may move: more follows faster (what the model says)",
     )
     parser.add_argument(
         "--integrator-order",
@@ -175,12 +186,6 @@ def add_parsers(subparsers: Any) -> None:
         help="keep the Lyapunov matrix of an earlier design of this model and rate: either's gains may then take the "
         "other's place while they run",
     )
-    parser.add_argument(
-        "--faults", metavar="NAME,...", help="design for these of the model's faults alone, as one hypothesis of a bank"
-    )
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.set_defaults(handler=run_design)
-    _add_check(subparsers)
 
 
 def run_design(args: argparse.Namespace) -> int:

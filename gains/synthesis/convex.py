@@ -133,16 +133,8 @@ def design_convex(
     rate_hz = plant.rate_hz if rate_hz is None else rate_hz
     if rate_hz is None:
         raise ModelError(f"{plant.name}: a continuous model needs a rate in samples per second (--rate)")
-    if not 0.0 < pole_radius <= 1.0:
-        raise ModelError(f"{plant.name}: a pole radius of {pole_radius} does not lie in (0, 1]")
-    if not 0.0 < gain_weight < np.inf:
-        raise ModelError(f"{plant.name}: a gain weight of {gain_weight} is not positive")
-    if gain_bound is not None and not gain_bound > 0.0:
-        raise ModelError(f"{plant.name}: a gain bound of {gain_bound} is not positive")
-    if integrator_order not in (1, 2):
-        raise ModelError(f"{plant.name}: an integrator order of {integrator_order} is neither 1 nor 2")
-    if not 0.0 <= h2 <= 1.0:
-        raise ModelError(f"{plant.name}: an H2 share of {h2} does not lie in [0, 1]")
+    if wrong := _wrong_option(pole_radius, gain_weight, gain_bound, integrator_order, h2):
+        raise ModelError(f"{plant.name}: {wrong}")
     discrete = discretise(plant, rate_hz)
     augmentation = augment(discrete, integrator_order, noise_once=noise_once)
     size = len(augmentation.L1) + len(augmentation.L_q)
@@ -192,6 +184,23 @@ def design_convex(
         ladder = itertools.product(_CAUTION, _LOOSENESS) if P is None else [(0.0, 1.0)]
         design = _within(plant.name, gain_bound, bounded, ladder)
     return replace(design, total_s=time.perf_counter() - started, notes=(*notes, *design.notes))
+
+
+def _wrong_option(
+    pole_radius: float, gain_weight: float, gain_bound: float | None, integrator_order: int, h2: float
+) -> str | None:
+    """Return the first option that is out of range, and its range; None where all are within theirs."""
+    if not 0.0 < pole_radius <= 1.0:
+        return f"a pole radius of {pole_radius} does not lie in (0, 1]"
+    if not 0.0 < gain_weight < np.inf:
+        return f"a gain weight of {gain_weight} is not positive"
+    if gain_bound is not None and not gain_bound > 0.0:
+        return f"a gain bound of {gain_bound} is not positive"
+    if integrator_order not in (1, 2):
+        return f"an integrator order of {integrator_order} is neither 1 nor 2"
+    if not 0.0 <= h2 <= 1.0:
+        return f"an H2 share of {h2} does not lie in [0, 1]"
+    return None
 
 
 def _problems(
