@@ -25,8 +25,8 @@ class Daemon:
     """Runs the vehicles of one process on live links.
 
     ``services`` returns the vehicles' services, which may become more; ``troubles`` what is wrong with links and disks,
-    for the status; ``every_turn`` is called about twenty times a second with the steady time, for reloads and retries.
-    ``batch_s`` is how long links let telemetry wait to form batches.
+    for the status; ``every_turn`` is called about twenty times a second with the steady time, for reloads and retries,
+    and returns whether to go on. ``batch_s`` is how long links let telemetry wait to form batches.
 
     What is due goes by the steady time (nanoseconds of the monotonic clock), which nobody sets; Unix time only stamps.
     """
@@ -37,7 +37,7 @@ class Daemon:
         fleet: Fleet,
         services: Callable[[], Sequence[VehicleService]],
         troubles: Callable[[], Sequence[str]],
-        every_turn: Callable[[int], None],
+        every_turn: Callable[[int], bool],
         batch_s: float = 0.0,
     ) -> None:
         self._inbox = inbox
@@ -46,22 +46,17 @@ class Daemon:
         self._troubles = troubles
         self._every_turn = every_turn
         self._held_ns = round(1e9 * batch_s)
-        self._stopping = False
-
-    def stop(self) -> None:
-        """Ask :meth:`run` to return after the present batches."""
-        self._stopping = True
 
     def run(self) -> None:
-        """Monitor until :meth:`stop`."""
-        due_ns = 0
-        while not self._stopping:
+        """Monitor until a turn says that it is over, and process the batches of that turn."""
+        due_ns, running = 0, True
+        while running:
             arrivals = self._inbox.take(_POLL_S)
             steady_ns = time.monotonic_ns()
             # Elect first: after a process freeze another monitor may be active.
             if steady_ns >= due_ns:
                 due_ns = steady_ns + _EVERY_NS
-                self._every_turn(steady_ns)
+                running = self._every_turn(steady_ns)
                 troubles = self._troubles()
                 for service in self._services():
                     service.work(steady_ns, time.time_ns(), troubles)

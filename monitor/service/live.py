@@ -7,8 +7,9 @@ import gc
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from adapters.errors import OtherVehicleError
@@ -23,7 +24,7 @@ from monitor.recording.journal import Journal
 from monitor.service.caught_signals import caught_signals
 from monitor.service.daemon import Daemon
 from monitor.service.inbox import OLDEST_S, Inbox
-from monitor.service.links import FirstLook, open_links, signing_guard
+from monitor.service.links import Counting, FirstLook, open_links, signing_guard
 from monitor.service.log import ServiceLog
 from monitor.service.metrics_server import MetricsServer
 from monitor.service.ros_diagnostics import RosDiagnostics
@@ -57,61 +58,12 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
     with ExitStack() as stack, caught_signals() as received:
         log = ServiceLog(as_json or json_lines)
         stack.callback(log.close)
-        session = stack.enter_context(
-            open_session(config.connect, config.listen, config.zenoh_config, config.zenoh_mode)
-        )
-        journal = _open_journal(config, log, stack)
-        guard = signing_guard(config)
-        if guard is not None:
-            stack.callback(guard.save)
-            _each_second(guard.save, "signing state", stack)
         inbox = Inbox(config.inbox, OLDEST_S)
-        links = open_links(config, session, stack, guard)
-        views = _open_views(config, log, stack)
-        counted = {one.name: one.link for one in links}
-        ground, messengers = _open_messengers(config, log, stack)
-        ros = RosDiagnostics(session, config.ros.domain) if config.ros.diagnostics else None
-        if ros is not None:
-            stack.callback(ros.close)
-        station = Station(config, read_again, session, inbox, journal, log, counted, views, messengers, ground, ros)
-        stack.callback(station.close)
-        # before the links are closed, which their threads read
-        stack.callback(inbox.close)
-        for one in links:
-            inbox.listen(one.name, one.link, None if one.vehicle is None else station.name_of(one.vehicle))
+        station, links = _open_station(config, read_again, inbox, log, stack)
         if config.metrics.listen is not None:
             stack.callback(MetricsServer(config.metrics.listen, station.health).close)
         notifier = Notifier()
         stack.callback(notifier.close)
-        handled = 0
-        undecided, other = refuse, None
-
-        first_look = FirstLook({one.name: one.link for one in links}, log)
-
-        def every_turn(steady_ns: int) -> None:
-            nonlocal handled, undecided, other
-            new = received[handled:]
-            handled += len(new)
-            if signal.SIGHUP in new:
-                notifier.reloading()
-                station.reload()
-            if signal.SIGINT in new or signal.SIGTERM in new:
-                daemon.stop()
-            if undecided and (first := station.first_identified()) is not None:
-                undecided, other = False, first.refused
-                if other is not None:
-                    daemon.stop()
-            reloads = station.reloads
-            station.turn(steady_ns)
-            if station.reloads != reloads:
-                notifier.ready(f"monitoring {len(station.services)} vehicles")
-            notifier.feed(not inbox.stuck())
-            watchdog.feed()
-            first_look.turn(steady_ns)
-
-        daemon = Daemon(
-            inbox, station.fleet, lambda: station.services, station.troubles, every_turn, config.batch_ms / 1e3
-        )
         station.announce()
         notifier.ready(f"monitoring {len(station.services)} vehicles")
         # What is kept for weeks need not be searched for garbage again and again, which takes longer than an alarm.
@@ -119,6 +71,10 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         gc.freeze()
         watchdog = Watchdog()
         stack.callback(watchdog.close)
+        turns = _Turns(received, station, inbox, notifier, watchdog, FirstLook(links, log), undecided=refuse)
+        daemon = Daemon(
+            inbox, station.fleet, lambda: station.services, station.troubles, turns.turn, config.batch_ms / 1e3
+        )
         daemon.run()
         watchdog.close()
         notifier.stopping()
@@ -127,9 +83,68 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         for service in station.services:
             monitor = service.monitor
             log.say("stopped", vehicle=monitor.name, messages=monitor.messages, samples=monitor.samples)
-        if other is not None:
-            raise OtherVehicleError(f"{other}; take its own profile, or go on with --force")
+        if turns.other is not None:
+            raise OtherVehicleError(f"{turns.other}; take its own profile, or go on with --force")
         return 130 if signal.SIGINT in received else 0
+
+
+def _open_station(
+    config: Config, read_again: Callable[[], Config], inbox: Inbox, log: ServiceLog, stack: ExitStack
+) -> tuple[Station, dict[str, Counting]]:
+    """Open what vehicles are watched with, and the links they come over, by name."""
+    session = stack.enter_context(open_session(config.connect, config.listen, config.zenoh_config, config.zenoh_mode))
+    journal = _open_journal(config, log, stack)
+    guard = signing_guard(config)
+    if guard is not None:
+        stack.callback(guard.save)
+        _each_second(guard.save, "signing state", stack)
+    opened = open_links(config, session, stack, guard)
+    links = {link.name: link.link for link in opened}
+    views = _open_views(config, log, stack)
+    ground, messengers = _open_messengers(config, log, stack)
+    ros = RosDiagnostics(session, config.ros.domain) if config.ros.diagnostics else None
+    if ros is not None:
+        stack.callback(ros.close)
+    station = Station(config, read_again, session, inbox, journal, log, links, views, messengers, ground, ros)
+    stack.callback(station.close)
+    # before the links are closed, which their threads read
+    stack.callback(inbox.close)
+    for name, link, vehicle in opened:
+        inbox.listen(name, link, None if vehicle is None else station.name_of(vehicle))
+    return station, links
+
+
+@dataclass(slots=True)
+class _Turns:
+    """What the daemon does in each turn beside its vehicles: signals, status, signs of life."""
+
+    received: Sequence[int]  # signals so far
+    station: Station
+    inbox: Inbox
+    notifier: Notifier
+    watchdog: Watchdog
+    first_look: FirstLook
+    undecided: bool  # whether the first vehicle that says what it is may still end the daemon
+    other: str | None = None  # what says that it is another than its profile's
+    handled: int = 0  # signals
+
+    def turn(self, steady_ns: int) -> bool:
+        """Do it; return whether to go on."""
+        new = self.received[self.handled :]
+        self.handled += len(new)
+        reloads = self.station.reloads
+        if signal.SIGHUP in new:
+            self.notifier.reloading()
+            self.station.reload()
+        if self.undecided and (first := self.station.first_identified()) is not None:
+            self.undecided, self.other = False, first.refused
+        self.station.turn(steady_ns)
+        if self.station.reloads != reloads:
+            self.notifier.ready(f"monitoring {len(self.station.services)} vehicles")
+        self.notifier.feed(not self.inbox.stuck())
+        self.watchdog.feed()
+        self.first_look.turn(steady_ns)
+        return self.other is None and signal.SIGINT not in new and signal.SIGTERM not in new
 
 
 def _open_journal(config: Config, log: ServiceLog, stack: ExitStack) -> BackgroundJournal | None:
