@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from functools import partial
-from math import cos, isnan, pi, sin
+from math import cos, isnan, pi, radians, sin
 from typing import Any
 
 import pytest
@@ -83,6 +83,20 @@ def test_what_is_joined_is_interpolated_the_shorter_way_round() -> None:
     assert [m.received_ns // MS for m in found] == [5, 15, 19]
     yaws = [m.fields["yaw"] % (2 * pi) for m in found]
     assert yaws == pytest.approx([pi - 0.2 + 0.4 * share for share in (0.25, 0.75, 0.95)], abs=1e-6)
+
+
+def test_a_roll_that_is_joined_goes_through_upside_down() -> None:
+    records = [
+        Message(DATAFLASH, name, at * MS, {"TimeUS": at * 1000, **fields})
+        for name, at, fields in (
+            ("ATT", 0, {"Roll": 170.0, "Pitch": 0.0, "Yaw": 0.0}),
+            ("RATE", 50, {"R": 400.0, "P": 0.0, "Y": 0.0}),
+            ("ATT", 100, {"Roll": -150.0, "Pitch": 0.0, "Yaw": 0.0}),
+            ("RATE", 100, {"R": 400.0, "P": 0.0, "Y": 0.0}),
+        )
+    ]
+    found = run(records, builtin_mapping("dataflash"), ("ATTITUDE",))
+    assert found[0].fields["roll"] == pytest.approx(pi + radians(10.0), abs=1e-6)
 
 
 def test_a_message_does_not_wait_forever_for_what_is_joined() -> None:

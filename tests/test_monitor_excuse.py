@@ -65,6 +65,14 @@ def test_evidence_is_excused_while_the_cause_is_active_and_for_its_time_after() 
     assert not excused(north, 31)
 
 
+def test_evidence_of_the_sample_that_cleared_the_cause_is_excused() -> None:
+    excuses = Excuses((RULE,))
+    north = watched(excuses, "gps_velocity_north")
+    excuses.follow(event("gyro_x", "raised", 1.0))
+    excuses.follow(event("gyro_x", "cleared", 10.2))  # known a fifth of a second after its sample
+    assert excused(north, 10)
+
+
 def test_what_an_active_alarm_explains_is_listed_under_it_once() -> None:
     told: list[str] = []
 

@@ -231,6 +231,20 @@ def test_angles_that_wrap_between_measurements_pass_the_sampler_unharmed() -> No
     assert errors["heading"] < 0.01
 
 
+def test_a_roll_that_wraps_between_measurements_passes_the_sampler_unharmed() -> None:
+    rolls = np.deg2rad([170.0, -170.0, -150.0])
+    batch = pack(
+        [
+            Message(MAVLINK, "ATTITUDE", k, {"time_boot_ms": 1000 + 40 * k, "roll": r, "pitch": 0.0, "yaw": 0.0}, 1, 1)
+            for k, r in enumerate(rolls.tolist())
+        ]
+    )
+    channel = next(one for one in strapdown_channels(EXAMPLES).channels if one.name == "roll")
+    sampler = Sampler([channel], [], 50.0, VehicleClock())
+    taken = sample_batch(sampler.clock, [sampler], batch).samples[0]
+    assert np.degrees(taken.u[:3, 0]) == pytest.approx([170.0, 180.0, -170.0])
+
+
 def messages(k: int, row: np.ndarray) -> list[Message]:
     """Return what an autopilot sends at a tick, 4 ms off the grid: fixes at 5 Hz, yaw and course wrapped."""
     time_us = k * 10_000 + 1_004_000

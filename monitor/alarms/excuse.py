@@ -124,7 +124,7 @@ class Excuses:
         now, spans = self._excuse(channel)
         ended = spans
         if (cleared_ns := self._lasting_cleared_ns.get(channel)) is not None:
-            ended = np.concatenate([spans, np.array([[cleared_ns, cleared_ns + round(HOLD_S * 1e9)]], np.int64)])
+            ended = np.concatenate([spans, np.array([_about(cleared_ns, HOLD_S)], np.int64)])
         jumps = {alarm for _, alarm in self._jumps.get(channel, ())}
         for alarm in alarms:
             alarm.set_excuse(now or alarm in self._forged, ended if alarm in jumps else spans)
@@ -139,8 +139,17 @@ class Excuses:
                 if self._active.get(cause):
                     return True, np.empty((0, 2), np.int64)
                 if (cleared_ns := self._cleared_ns.get(cause)) is not None:
-                    spans.append((cleared_ns, cleared_ns + min(int(rule.for_s * 1e9), LATEST_NS)))
+                    spans.append(_about(cleared_ns, rule.for_s))
         return False, np.array(spans, np.int64).reshape(-1, 2)
+
+
+def _about(cleared_ns: int, for_s: float) -> tuple[int, int]:
+    """Return the span of vehicle time in which an alarm that has cleared excuses others, ns.
+
+    An event bears the time at which its sample was known: the rows that follow it may be of an earlier one.
+    """
+    after_ns = min(int(for_s * 1e9), LATEST_NS)
+    return cleared_ns - after_ns, cleared_ns + after_ns
 
 
 def general_of(rules: Sequence[ExcuseRule]) -> dict[str, tuple[str, ...]]:

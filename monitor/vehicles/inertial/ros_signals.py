@@ -68,7 +68,7 @@ def ros_channels(
     channels = [Channel(name, imu, (what, axis), scale=sign) for name, (what, axis, sign) in vectors]
     attitude, place = _attitude(imu, odometry, examples)
     channels += [
-        Channel("roll", attitude, place, angle="roll"),
+        Channel("roll", attitude, place, angle="roll", period=2.0 * pi),
         Channel("pitch", attitude, place, angle="pitch", scale=-1.0),
         Channel("yaw", attitude, place, angle="yaw", scale=-1.0, offset=0.5 * pi, period=2.0 * pi),
     ]

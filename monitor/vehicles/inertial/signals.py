@@ -86,7 +86,8 @@ def strapdown_channels(
     else:
         force, rate = (1.0, 1.0) if imu == "HIGHRES_IMU" else (STANDARD_GRAVITY / 1000.0, _GYRO_SCALE)
         channels = [Channel(name, imu, (name,), scale=force if "acc" in name else rate) for name in IMU[:6]]
-    channels += [Channel(name, "ATTITUDE", (name,)) for name in ("roll", "pitch")]
+    channels.append(Channel("roll", "ATTITUDE", ("roll",), period=tau))
+    channels.append(Channel("pitch", "ATTITUDE", ("pitch",)))
     channels.append(Channel("yaw", "ATTITUDE", ("yaw",), period=tau))
     gps = _there(examples, "GPS_RAW_INT", ("lat", "lon", "vel", "cog")) and not _unknown(examples["GPS_RAW_INT"])
     if gps:
