@@ -143,15 +143,15 @@ def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
     return topics
 
 
-def ardupilot_log(path: Path, flight: Flight, errors: Sequence[tuple[float, int, int]] = ()) -> Path:
-    """Write a flight as ArduPilot logs it; errors are times, subsystems and codes."""
+def ardupilot_log(path: Path, flight: Flight, errors: Sequence[tuple[float, int, int]] = (), output: str = "C") -> Path:
+    """Write a flight as ArduPilot logs it; errors are times, subsystems and codes, ``output`` the name of outputs."""
     log = DataflashWriter()
     log.define("PARM", "QNf", "TimeUS,Name,Value")
     log.define("MSG", "QZ", "TimeUS,Message")
     log.define("EV", "QB", "TimeUS,Id")
     log.define("ERR", "QBB", "TimeUS,Subsys,ECode")
     log.define("MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn")
-    log.define("RCOU", "QHHHH", "TimeUS,C1,C2,C3,C4")
+    log.define("RCOU", "QHHHH", ",".join(["TimeUS", *(f"{output}{k}" for k in range(1, 5))]))
     log.define("ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
     log.define("BARO", "QBf", "TimeUS,I,Alt", "s#m")
     log.define("BAT", "QBff", "TimeUS,Inst,Volt,Curr", "s#--")

@@ -89,7 +89,7 @@ CASES: dict[str, Flight] = {
     "descent_not_followed": Flight(
         climb_wanted=between(30.0, 38.0, -1.5, 0.0),
         height=lambda at: usual_height(at) + 0.6 * min(max(at - 30.0, 0.0), 8.0),
-        motors=lambda at: [0.12 if 30.0 <= at < 38.0 else share for share in usual_motors(at)],
+        motors=lambda at: [0.10, 0.14, 0.13, 0.11] if 30.0 <= at < 38.0 else usual_motors(at),
     ),
     "attitude_not_followed": Flight(tilt_deg=between(30.0, 32.0, 50.0, 0.0)),
     "turned_over": Flight(tilt_deg=between(30.0, 32.0, 150.0, 0.0)),
@@ -322,6 +322,27 @@ def test_logs_of_ardupilot_are_judged_alike(name: str, tmp_path: Path) -> None:
     assert review.facts.autopilot == "ArduPilot"
     assert review.first is not None
     assert review.first.rule.name == name
+
+
+@pytest.mark.parametrize("output", ["Ch", "Chan"])
+def test_outputs_of_old_versions_are_motors_too(output: str, tmp_path: Path) -> None:
+    flight = replace(CASES["motor_at_limit"], rpm=None)
+    review = rules_on(ardupilot_log(tmp_path / "flight.bin", flight, output=output))
+    assert names(review) == ["motor_at_limit"]
+
+
+def test_on_the_ground_with_idle_motors_nothing_is_judged(tmp_path: Path) -> None:
+    """It fell at 25 s, lies on its back and is carried about, and the log never says that it landed."""
+    flight = Flight(
+        height=lambda at: usual_height(min(at, 25.0)) if at < 25.0 else 0.0,
+        motors=lambda at: usual_motors(at) if at < 25.0 else [0.06] * 4,
+        landed=lambda at: at < TAKEOFF_S,
+        tilt_deg=between(30.0, 50.0, 170.0, 0.0),
+        fix=lambda at: 0 if at > 30.0 else 3,
+    )
+    review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
+    assert review.facts.flight == ((TAKEOFF_S, pytest.approx(25.0)),)
+    assert names(review) == []
 
 
 def test_a_guessed_number_of_cells_is_no_finding(tmp_path: Path) -> None:

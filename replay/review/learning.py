@@ -93,6 +93,7 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
             share=peak / threshold,
             text=typical.message,
             size=abs(typical.estimate or 0.0),
+            relative=typical.relative,
         )
 
 

@@ -49,6 +49,8 @@ _VEHICLES = {"Copter": ("multirotor", 2), "Plane": ("plane", 1), "Rover": ("rove
 _PWM_FROM, _PWM_TO = 1000.0, 2000.0
 """MOT_PWM_MIN and MOT_PWM_MAX where the log does not say: their defaults."""
 _OUTPUTS = 14
+_OUTPUT_WORDS = ("C", "Ch", "Chan")
+"""What comes before an output's number: of today, before ArduPilot 3.4, before 3.2."""
 
 
 def ardupilot_facts(records: LogRecords) -> LogFacts:
@@ -125,16 +127,21 @@ def _motors(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSig
     outputs = [k for k in range(1, _OUTPUTS + 1) if records.parameters.get(f"SERVO{k}_FUNCTION") in _MOTOR_FUNCTIONS]
     low = records.parameters.get("MOT_PWM_MIN", 0.0) or _PWM_FROM
     high = records.parameters.get("MOT_PWM_MAX", 0.0) or _PWM_TO
-    if not outputs:
-        first = records.signal("RCOU", [f"C{k}" for k in range(1, 5)], [f"motor{k}" for k in range(1, 5)], "us")
-        during = np.empty((0, 4)) if first is None else first.values[inside(first.time_s, armed)]
-        moves = len(during) > 0 and bool(np.ptp(during, axis=0).all())
-        outputs = [1, 2, 3, 4] if moves else []
-    named = [f"motor{k}" for k in outputs]
-    commands = records.signal("RCOU", [f"C{k}" for k in outputs], named, "of full") if outputs else None
+    commands = _outputs(records, outputs or range(1, 5))
     if commands is None:
         return None
+    if not outputs:
+        during = commands.values[inside(commands.time_s, armed)]
+        if not len(during) or not np.ptp(during, axis=0).all():
+            return None
     return replace(commands, values=np.maximum(commands.values - low, 0.0) / (high - low))
+
+
+def _outputs(records: LogRecords, numbers: Sequence[int]) -> LogSignal | None:
+    """Return some outputs, whatever the version of the autopilot calls them."""
+    names = [f"motor{k}" for k in numbers]
+    known = (records.signal("RCOU", [f"{word}{k}" for k in numbers], names, "of full") for word in _OUTPUT_WORDS)
+    return next((one for one in known if one is not None), None)
 
 
 def _rpm(records: LogRecords) -> LogSignal | None:

@@ -80,7 +80,10 @@ class Statement:
 
 @dataclass(frozen=True, slots=True)
 class LearnedAlarm:
-    """An alarm of a profile learned from the flight itself: its typical size, and its peak over its threshold."""
+    """An alarm of a profile learned from the flight itself: its typical size, and its peak over its threshold.
+
+    ``relative`` is that size as a share of the command, where there is one.
+    """
 
     start_s: float
     end_s: float
@@ -89,6 +92,7 @@ class LearnedAlarm:
     share: float
     text: str
     size: float = 0.0
+    relative: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +198,17 @@ def spans_where(time_s: Floats, holds: NDArray[np.bool_], least_s: float = 0.0) 
 def off_ground(height: LogSignal | None) -> list[tuple[float, float]]:
     """Return when a vehicle flew whose log does not say it, by its height above where the log begins."""
     return [] if height is None else spans_where(height.time_s, height.only > _LIFTED, 2.0)
+
+
+def flown(flight: Iterable[tuple[float, float]], motors: LogSignal | None) -> list[tuple[float, float]]:
+    """Return the parts of a flight in which a multirotor was flown: on the ground all motors idle alike."""
+    if motors is None or len(motors.names) < _FEWEST_ROTORS:
+        return list(flight)
+    edges = [(-np.inf, True)]
+    idle = (np.ptp(motors.values, axis=1) < _ALIKE) & (motors.values.max(axis=1) < _CARRIES)
+    for start, end in spans_where(motors.time_s, idle, _IDLE_S):
+        edges += [(start, False), (end, True)]
+    return overlap(flight, state_spans(edges, np.inf))
 
 
 class LogRecords:
@@ -359,6 +374,14 @@ def way(place: LogSignal | None) -> LogSignal | None:
     return LogSignal(place.time_s[known], metres, ("north", "east"), "m", place.origin)
 
 
+_FEWEST_ROTORS = 3
+"""Rotors of a multirotor, at least: of fewer outputs that are alike nothing follows."""
+_ALIKE = 0.005
+"""Of full command: half a step of 8 bits. Motors that carry a vehicle differ by what its controllers ask."""
+_CARRIES = 0.15
+"""Share of full command from which on the strongest vehicles hover; motors idle at 0.05 to 0.13."""
+_IDLE_S = 3.0
+"""Time in which a vehicle without thrust falls 44 m: who lets all motors idle that long stands on the ground."""
 _LIFTED = 1.0
 """Metres above where it armed from which a vehicle flies that does not say it. Chosen: twice a barometer's drift."""
 _DEGREE_M = 111_195.0

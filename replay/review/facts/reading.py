@@ -9,7 +9,7 @@ from adapters.errors import TelemetryError
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, onboard_source
 from replay.review.facts import ardupilot, mavlink, px4
-from replay.review.facts.log_facts import LogFacts, LogRecords
+from replay.review.facts.log_facts import LogFacts, LogRecords, flown
 
 
 def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
@@ -31,4 +31,5 @@ def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
         raise TelemetryError(f"{path}: holds nothing that says how a vehicle fared; give a log of a flight")
     facts = translate(records)
     # what drives has no landing detector that says anything
-    return replace(facts, flight=facts.armed) if facts.vehicle == "rover" else facts, recording.damage()
+    flight = facts.armed if facts.vehicle == "rover" else tuple(flown(facts.flight, facts.signals.get("motors")))
+    return replace(facts, flight=flight), recording.damage()
