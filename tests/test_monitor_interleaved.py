@@ -148,3 +148,13 @@ CLEAN: Mapping[str, Callable[[list[Message]], list[Message]]] = {
 @pytest.mark.parametrize("link", CLEAN)
 def test_links_that_change_lose_or_bring_twice_are_none(profile: Profile, flight: list[Message], link: str) -> None:
     assert impostors(profile, CLEAN[link](flight)) == []
+
+
+def test_one_row_that_contradicts_is_counted_once_however_many_come_late_behind_it(
+    profile: Profile, flight: list[Message]
+) -> None:
+    own = [message for message in flight if message.name == "HIGHRES_IMU"]
+    jolt = forged(own[1500], 0.005, {"xgyro": 0.3})
+    late = {id(message): own[1502].received_ns + 1000 * k for k, message in enumerate(own[1486:1498])}
+    held = [replace(one, received_ns=late.get(id(one), one.received_ns)) for one in flight]
+    assert impostors(profile, in_order([*held, jolt])) == []

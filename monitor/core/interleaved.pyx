@@ -119,7 +119,8 @@ cdef class Interleaved:
             self._count += 1
         self._stamps[place] = stamp
         memcpy(self._rows + place * self._width, row, self._width * sizeof(double))
-        if self._count < ROWS:
+        # A row that is so late leaves the judged one, which was judged before, where it is.
+        if self._count < ROWS or place < JUDGED:
             return False
         if self._usual == 0.0:
             self._usual = <double>(self._stamps[ROWS - 1] - self._stamps[0]) / (ROWS - 1)
