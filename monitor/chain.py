@@ -361,12 +361,14 @@ class ObserverChain:
     @property
     def outside(self) -> str | None:
         """What of the flight lies outside of those that were fitted, for people; None where nothing does."""
-        return None if self._envelope is None else self._envelope.outside
+        stages = (self._envelope, self._excitation)
+        return next((stage.outside for stage in stages if stage is not None), None)
 
     @property
     def furthest(self) -> tuple[float, str] | None:
         """For how long, seconds, and how far all so far lay outside of the fitted flights; None where it did not."""
-        return None if self._envelope is None else self._envelope.furthest
+        stages = (self._envelope, self._excitation)
+        return next((stage.furthest for stage in stages if stage is not None), None)
 
     def estimate(
         self,

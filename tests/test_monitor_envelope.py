@@ -42,7 +42,8 @@ def test_sizes_grow_with_the_tilt_and_shrink_back_with_the_washout() -> None:
     assert found[250] == pytest.approx(62.0 / 40.0)
     assert found[300 + 3000] == pytest.approx(1.0 + 22.0 / 40.0 / math.e, rel=0.01)
     assert found[-1] < 1.1
-    assert stage.furthest == (1.0, "outside the fitted flights: tilt 62 degrees, fitted to 40")
+    after = "there and for half a minute after sizes are larger"
+    assert stage.furthest == (1.0, f"outside the fitted flights: tilt 62 degrees, fitted to 40; {after}")
 
 
 def test_the_status_says_by_how_much_while_it_matters() -> None:

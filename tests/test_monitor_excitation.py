@@ -53,6 +53,21 @@ def test_a_rate_counts_while_it_lasts_and_as_long_as_model_error_does() -> None:
     assert (s[31 + held :] == 1.0).all()
 
 
+def test_what_no_fitted_flight_did_is_told_while_it_counts_and_of_the_whole_run() -> None:
+    stage = ExcitationStage(RULE, ("roll_rate", "other"), 1, HZ)
+    y = np.zeros(80)
+    y[20:70] = 2.0
+    of, calm = samples(y), samples(np.zeros(80))
+    stage.run(calm, np.ones(80))
+    assert stage.outside is None
+    assert stage.furthest is None
+    stage.run(of, np.ones(80))
+    assert stage.outside == "outside the fitted flights (rate 2 rad/s, fitted to 1): seen from 7.2 times the sizes on"
+    stage.run(calm, np.ones(80))
+    assert stage.outside is None
+    assert stage.furthest == (1.2, "outside the fitted flights: rate 2 rad/s, fitted to 1; there sizes are larger")
+
+
 def test_a_change_of_a_command_counts_though_nothing_turns_yet() -> None:
     u = np.full(100, 0.5)
     u[50:] = 0.7

@@ -7,7 +7,7 @@ much they are f times as large, and as what is integrated remembers its errors, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from math import degrees, exp, radians
 from typing import Any
@@ -22,7 +22,7 @@ from monitor.core.excitation import Beyond
 _MEMORY_S = 30.0
 """Time constant with which the excess fades, seconds: that of the washed-out positions and angles, in which errors
 stay as long."""
-_WORTH_SAYING = 1.25
+WORTH_SAYING = 1.25
 """Excess from which people are told. Chosen: a quarter beyond is another kind of flying, and no gust."""
 _ORDINARY = (radians(30.0), radians(60.0), 0.0)
 """Tilt and rate of ordinary flight, by ArduPilot's defaults (ANGLE_MAX, ATC_SLEW_YAW): errors of a hover are noise, and
@@ -69,7 +69,7 @@ def _core(envelope: Envelope, signals: Sequence[str], rate_hz: float) -> Beyond:
         [max(size, least) if size > 0.0 else 0.0 for size, least in zip(fitted, _ORDINARY, strict=True)],
         columns,
         exp(-1.0 / (_MEMORY_S * rate_hz)),
-        _WORTH_SAYING,
+        WORTH_SAYING,
     )
 
 
@@ -87,20 +87,37 @@ class EnvelopeStage:
     @property
     def outside(self) -> str | None:
         """What lately lay outside of the fitted flights, for people; None where nothing did."""
-        text = self._text(self._core.reached)
-        return text and f"outside the fitted flights ({text}): seen from {self._core.factor:.2g} times the sizes on"
+        return outside_text(self._sizes(self._core.reached), self._core.factor)
 
     @property
     def furthest(self) -> tuple[float, str] | None:
         """For how long, seconds, and how far a run lay outside of the fitted flights; None where it did not."""
-        text = self._text(self._core.furthest)
-        return None if text is None else (self._core.rows / self._rate_hz, f"outside the fitted flights: {text}")
+        text = excess_text(self._sizes(self._core.furthest))
+        if text is None:
+            return None
+        after = "there and for half a minute after sizes are larger"
+        return self._core.rows / self._rate_hz, f"outside the fitted flights: {text}; {after}"
 
-    def _text(self, sizes: Sequence[float]) -> str | None:
+    def _sizes(self, sizes: Sequence[float]) -> Iterator[tuple[str, float, float, str]]:
         units = (("tilt", "degrees", degrees(1.0)), ("rate", "rad/s", 1.0), ("speed", "m/s", 1.0))
-        parts = [
-            f"{name} {scale * now:.2g} {unit}, fitted to {scale * fitted:.2g}"
-            for (name, unit, scale), now, key in zip(units, sizes, fields(Envelope), strict=True)
-            if (fitted := getattr(self._envelope, key.name)) > 0.0 and now > _WORTH_SAYING * fitted
-        ]
-        return "; ".join(parts) or None
+        for (name, unit, scale), now, key in zip(units, sizes, fields(Envelope), strict=True):
+            yield name, scale * now, scale * getattr(self._envelope, key.name), unit
+
+
+def excess_text(sizes: Iterable[tuple[str, float, float, str]]) -> str | None:
+    """Return which sizes (name, now, in the fitted flights, unit) are worth telling; None where none is.
+
+    What is 0 in the fitted flights was not measured there.
+    """
+    parts = (
+        f"{name} {now:.2g} {unit}, fitted to {fitted:.2g}"
+        for name, now, fitted, unit in sizes
+        if fitted > 0.0 and now > WORTH_SAYING * fitted
+    )
+    return "; ".join(parts) or None
+
+
+def outside_text(sizes: Iterable[tuple[str, float, float, str]], factor: float) -> str | None:
+    """Return what of a flight lies outside of the fitted ones, and how many times larger a fault has to be there."""
+    text = excess_text(sizes)
+    return text and f"outside the fitted flights ({text}): seen from {factor:.2g} times the sizes on"

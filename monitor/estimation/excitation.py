@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from adapters.sample import Samples
 from adapters.toml_tables import Table
 from monitor.core.excitation import Excitation
+from monitor.estimation.envelope import WORTH_SAYING, excess_text, outside_text
 
 HOLD_S = 0.3
 """Model error outlasts what causes it: rates that decay and rotors that spin down take about as long (theory 5.1)."""
@@ -84,7 +85,34 @@ class ExcitationStage:
         self._core = Excitation(
             judged, np.array([getattr(rule, key) for key in _NUMBERS]), ceil(HOLD_S * rate_hz) + 1, inputs
         )
+        self._fitted = np.array([rule.output_fitted, rule.command_fitted])
+        self._rate_hz = rate_hz
+        self._newest, self._largest, self._rows = np.array([0.0, 0.0, 1.0]), np.zeros(2), 0
 
     def run(self, samples: Samples, level: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return r, d and s of n samples (n, 3), of which the residuals have some level (n,)."""
-        return self._core.run(samples.u, samples.y, samples.restart, level)
+        found = self._core.run(samples.u, samples.y, samples.restart, level)
+        if len(found):
+            self._newest = found[-1]
+            self._largest = np.fmax(self._largest, found[:, :2].max(axis=0))
+            outside = (found[:, :2] > WORTH_SAYING * self._fitted) & (self._fitted > 0.0)
+            self._rows += int(np.count_nonzero(outside.any(axis=1)))
+        return np.asarray(found, np.float64)
+
+    @property
+    def outside(self) -> str | None:
+        """What of the last ``HOLD_S`` lies outside of the fitted flights, for people; None where nothing does."""
+        return outside_text(self._sizes(self._newest[:2]), self._newest[2])
+
+    @property
+    def furthest(self) -> tuple[float, str] | None:
+        """For how long, seconds, and how far a run lay outside of the fitted flights; None where it did not."""
+        text = excess_text(self._sizes(self._largest))
+        if text is None:
+            return None
+        return self._rows / self._rate_hz, f"outside the fitted flights: {text}; there sizes are larger"
+
+    def _sizes(self, causes: NDArray[np.float64]) -> list[tuple[str, float, float, str]]:
+        (rate, change), (rate_fitted, change_fitted) = causes.tolist(), self._fitted.tolist()
+        change_percent, fitted_percent = 100.0 * change, 100.0 * change_fitted
+        return [("rate", rate, rate_fitted, "rad/s"), ("change of a command", change_percent, fitted_percent, "%")]

@@ -36,10 +36,7 @@ def unchecked(
     return [
         *([Unchecked("everything that was found or not found", replay.mismatch)] if replay.mismatch else []),
         *(Unchecked(f"{seconds:.0f} s in flight", why) for why, seconds in replay.unwatched(facts.last_ns or 0)),
-        *(
-            Unchecked(f"{name}: {seconds:.0f} s", f"{far}; there and for half a minute after sizes are larger")
-            for name, (seconds, far) in replay.outside.items()
-        ),
+        *(Unchecked(f"{name}: {seconds:.0f} s", far) for name, (seconds, far) in replay.outside.items()),
         *(Unchecked(f"what is missing of {one.file}", "; ".join(one.found)) for one in damage),
         *(one for observer in profile.observers for one in _observer(profile, observer, replay)),
         *(one for observer in profile.observers for one in _bridged(observer, replay.watches[observer.name])),
