@@ -135,7 +135,11 @@ def test_the_architecture_page_names_every_folder_and_only_what_is_there() -> No
     ] == []
 
 
-def test_the_command_line_starts_without_heavy_packages() -> None:
-    code = "import sys, fauio; fauio.build_parser(); print(' '.join(sys.modules))"
+@pytest.mark.parametrize(
+    ("code", "heavy"),
+    [("import fauio; fauio.build_parser()", HEAVY), ("import monitor.service.live, replay.player", {"scipy", "cvxpy"})],
+)
+def test_commands_start_without_heavy_packages(code: str, heavy: set[str]) -> None:
+    code += "; import sys; print(' '.join(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout
-    assert not HEAVY & {name.split(".")[0] for name in loaded.split()}
+    assert not heavy & {name.split(".")[0] for name in loaded.split()}

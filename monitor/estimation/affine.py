@@ -17,10 +17,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, solve_discrete_lyapunov
 
 from gains.plants.expression import compile_expression
 from gains.plants.plant import Plant
+from gains.synthesis.conditioning import doubled
 from gains.synthesis.gains_file import Gains
 from monitor.core.observers import AffineMap
 from monitor.estimation.coasting import StepMap, coasting_maps
@@ -107,7 +107,9 @@ def error_system(gains: Gains, plant: Plant) -> ErrorSystem:
     nd, ns = nz + len(gains.L_i), len(gains.initial_matrix)
     of_y, of_g = slice(ns + s, ns + s + p), slice(ns + s + p + 1, ns + s + p + 1 + m)
     rows = np.concatenate([np.arange(nd), ns + nz + np.arange(a1), ns + np.arange(n, nz)])
-    slopes = block_diag(*(g.slopes.mean(axis=1)[None] for g in plant.nonlinearities))
+    arguments = np.array([len(g.slopes) for g in plant.nonlinearities], np.intp)
+    means = np.array([slope for g in plant.nonlinearities for slope in g.slopes.mean(axis=1)])
+    slopes = np.repeat(np.eye(m), arguments, axis=1) * means
     disturbed, noisy, moving = _inputs(gains, plant)
     A, Q = np.zeros((2, 3, nd + a, nd + a))
     for kind, chosen in enumerate((_measured(gains), *coasting_maps(gains))):
@@ -128,7 +130,8 @@ def error_system(gains: Gains, plant: Plant) -> ErrorSystem:
     of_q = np.arange(nz, nz + a1)
     rates = {fault.name: fault.rate for fault in plant.faults}
     start[of_q, of_q] += [(_PRIOR_S * rates[name]) ** 2 for name in gains.faults[:a1]]
-    return ErrorSystem(A, Q, solve_discrete_lyapunov(A[_MEASURED], Q[_MEASURED]), start)
+    of_all = A[_MEASURED]
+    return ErrorSystem(A, Q, doubled(of_all.T, np.zeros_like(of_all), Q[_MEASURED]), start)
 
 
 def _inputs(gains: Gains, plant: Plant) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
