@@ -122,6 +122,17 @@ LOOK_ALIKES: dict[str, Flight] = {
     "a fast turn at full sticks": Flight(
         tilt_wanted_deg=between(30.0, 33.0, 60.0, 0.0), tilt_deg=between(30.3, 33.3, 60.0, 0.0)
     ),
+    "sticks that move on the ground": Flight(
+        height=lambda _: 0.2, tilt_wanted_deg=between(30.0, 33.0, 45.0, 0.0), tilt_deg=lambda _: 1.0
+    ),
+    "sticks from one end to the other": Flight(
+        tilt_wanted_deg=lambda at: 45.0 if 30.0 <= at < 33.0 and at % 0.8 < 0.4 else 0.0,
+        tilt_deg=lambda at: 45.0 if 30.3 <= at < 33.3 and (at - 0.3) % 0.8 < 0.4 else 0.0,
+    ),
+    "a throttle that was closed in the air": Flight(
+        motors=lambda at: [0.1, 0.1, 0.12, 0.1] if 30.0 <= at < 31.0 else usual_motors(at),
+        tilt_deg=between(30.2, 31.0, 50.0, 0.0),
+    ),
     "all speeds lower at lower commands": Flight(
         rpm=lambda at: [8000.0 * (share / HOVER) ** 0.5 for share in one_motor(2, 0.1, 30.0, 33.0)(at)],
         motors=one_motor(2, 0.1, 30.0, 33.0),
@@ -184,10 +195,11 @@ def test_attitudes_are_compared_by_the_shorter_way_round(tmp_path: Path) -> None
     assert "attitude_not_followed" not in [one.rule.name for one in review.findings]
 
 
-def test_an_attitude_is_not_judged_where_nothing_tells_what_the_motors_were_commanded() -> None:
+def tilted(roll: float, **others: LogSignal) -> LogReview:
+    """Return the verdict on a flight whose attitude is on its back for 4 s, with some other signals."""
     times = np.arange(600) / 10
     attitude = LogSignal(times, np.zeros((600, 3)), ("roll", "pitch", "yaw"), "", "attitude")
-    attitude.values[300:340, 0] = 170.0
+    attitude.values[300:340, 0] = roll
     wanted = LogSignal(times, np.zeros((600, 3)), ("roll", "pitch", "yaw"), "", "wanted")
     facts = LogFacts(
         autopilot="ArduPilot",
@@ -196,9 +208,25 @@ def test_an_attitude_is_not_judged_where_nothing_tells_what_the_motors_were_comm
         duration_s=60.0,
         armed=((0.0, 60.0),),
         flight=((1.0, 58.0),),
-        signals={"attitude": attitude, "attitude_wanted": wanted},
+        signals={"attitude": attitude, "attitude_wanted": wanted, **others},
     )
-    assert names(judged(Path("carried.bin"), facts)) == []
+    return judged(Path("carried.bin"), facts)
+
+
+def test_an_attitude_is_not_judged_where_nothing_tells_what_the_motors_were_commanded() -> None:
+    assert names(tilted(170.0)) == []
+
+
+@pytest.mark.parametrize(("blow", "found"), [(9.8, []), (60.0, ["turned_over", "attitude_not_followed"])])
+def test_an_attitude_that_accelerometers_and_barometer_contradict_is_the_estimators(
+    blow: float, found: list[str]
+) -> None:
+    times = np.arange(600) / 10
+    force = LogSignal(times, np.tile([0.0, 0.0, -9.8], (600, 1)), ("x", "y", "z"), "", "IMU")
+    force.values[303, 2] = -blow
+    height = LogSignal(times, np.full((600, 1), 0.2), ("barometer",), "m", "BARO")
+    motors = LogSignal(times, np.full((600, 4), 0.4), ("a", "b", "c", "d"), "", "motors")
+    assert names(tilted(170.0, acceleration=force, height=height, motors=motors)) == found
 
 
 def test_what_began_sooner_comes_first(tmp_path: Path) -> None:

@@ -205,7 +205,7 @@ def flown(flight: Iterable[tuple[float, float]], motors: LogSignal | None) -> li
     if motors is None or len(motors.names) < _FEWEST_ROTORS:
         return list(flight)
     edges = [(-np.inf, True)]
-    idle = (np.ptp(motors.values, axis=1) < _ALIKE) & (motors.values.max(axis=1) < _CARRIES)
+    idle = (np.ptp(motors.values, axis=1) < _ALIKE) & (motors.values.max(axis=1) < CARRIES)
     for start, end in spans_where(motors.time_s, idle, _IDLE_S):
         edges += [(start, False), (end, True)]
     return overlap(flight, state_spans(edges, np.inf))
@@ -378,7 +378,7 @@ _FEWEST_ROTORS = 3
 """Rotors of a multirotor, at least: of fewer outputs that are alike nothing follows."""
 _ALIKE = 0.005
 """Of full command: half a step of 8 bits. Motors that carry a vehicle differ by what its controllers ask."""
-_CARRIES = 0.15
+CARRIES = 0.15
 """Share of full command from which on the strongest vehicles hover; motors idle at 0.05 to 0.13."""
 _IDLE_S = 3.0
 """Time in which a vehicle without thrust falls 44 m: who lets all motors idle that long stands on the ground."""

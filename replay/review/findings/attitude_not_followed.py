@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import lost_s
+from replay.review.facts.log_facts import CARRIES, Floats, LogFacts, LogSignal, spans_where
+from replay.review.findings.loss_of_control import lost_s, undisturbed
 from replay.review.findings.rule import Judgement, Rule
 
 _APART_DEG = 30.0
@@ -22,15 +22,16 @@ _APART_S = 0.5
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     attitude, wanted = facts.signals["attitude"], facts.signals["attitude_wanted"]
     times = attitude.time_s
-    # by the shorter way round: at half a turn roll goes on from +180 to -180 degrees
-    apart = np.abs((attitude.values[:, :2] - wanted.at(times)[:, :2] + 180.0) % 360.0 - 180.0)
+    apart = _apart(attitude, wanted)
     end_s = lost_s(facts)
-    # what came before the motors were stopped, and the tumbling itself
-    judged = facts.in_flight(times) & (times < end_s + _APART_S)
+    # what came before the motors were stopped, and the tumbling itself; idle motors hold no attitude
+    carried = facts.signals["motors"].at(times).max(axis=1) > CARRIES
+    judged = facts.in_flight(times) & (times < end_s + _APART_S) & carried
     far = (apart > _APART_DEG).any(axis=1) & judged
     # what never followed has not stopped to: an estimator that does not know its attitude yet
     far &= np.logical_or.accumulate(judged & ~far)
-    for start, end in spans_where(times, far, _APART_S)[:1]:
+    spans = (span for span in spans_where(times, far, _APART_S) if _left(attitude, apart, *span))
+    for start, end in [span for span in spans if not undisturbed(facts, span[0])][:1]:
         within = (times >= start) & (times <= end)
         axis = int(np.argmax(np.nanmax(apart[within], axis=0)))
         most = float(np.nanmax(apart[within, axis]))
@@ -44,15 +45,44 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             evidence=(
                 f"{attitude.origin} against {wanted.origin}: {most:.0f} degrees apart in {name} from {start:.2f} s on",
                 *saturated[1],
+                *_high(facts, start),
             ),
             counter=(
                 "motors were commanded to turn until then: it was not let fall",
-                f"a vehicle at full sticks is behind for less than {_APART_S:g} s",
+                f"it is far from all that was wanted over the last {_APART_S:g} s: a vehicle at full sticks is not",
+                "accelerometers or the barometer show a blow, a fall or a tilt, so far as the log has them",
             ),
             confidence="likely",
             weight="critical",
             plots=("attitude", "attitude_wanted", "motors"),
         )
+
+
+def _apart(attitude: LogSignal, wanted: LogSignal) -> Floats:
+    """Return how far roll and pitch are from all that was wanted over the last half second (n, 2), degrees."""
+    # by the shorter way round: at half a turn roll goes on from +180 to -180 degrees
+    ways = [
+        np.abs((attitude.values[:, :2] - wanted.at(attitude.time_s - ago)[:, :2] + 180.0) % 360.0 - 180.0)
+        for ago in np.linspace(0.0, _APART_S, _AGO)
+    ]
+    return np.asarray(np.nanmin(ways, axis=0))
+
+
+def _left(attitude: LogSignal, apart: Floats, start_s: float, end_s: float) -> bool:
+    """Return whether the attitude left what was wanted: on the ground sticks move, and the vehicle does not."""
+    first, last = np.searchsorted(attitude.time_s, (start_s - 2 * _APART_S, end_s))
+    moved = np.ptp(attitude.values[first:last, :2], axis=0)
+    return bool((moved[apart[first:last].max(axis=0) > _APART_DEG] > _APART_DEG / 2).any())
+
+
+_AGO = 6
+"""Moments of that half second that are looked at: as many as the slowest log that is judged has, and two more."""
+
+
+def _high(facts: LogFacts, at_s: float) -> Iterator[str]:
+    height = facts.signals.get("height")
+    if height is not None:
+        yield f"{height.origin}: {height.at(np.array([at_s]))[0, 0]:.1f} m above where the log begins"
 
 
 def _saturated(facts: LogFacts, at_s: float) -> tuple[str, tuple[str, ...]]:
@@ -73,7 +103,8 @@ RULE = Rule(
     physics="An autopilot holds roll and pitch within some degrees of what it wants as long as its motors have room. "
     "Where they do not (a motor lost, a load, a blow), the attitude leaves it.",
     evidence="30 degrees apart for half a second in flight, while motors were commanded to turn",
-    counter="motors were stopped before; fast flight at full sticks, which is behind for less",
+    counter="motors were stopped or idle; a vehicle at full sticks, which is behind by half a second; one that stands "
+    "on the ground while sticks move; an estimator that errs: accelerometers and barometer say that nothing happened",
     needs=("attitude", "attitude_wanted", "motors"),
     judge=_judge,
     multirotor=True,

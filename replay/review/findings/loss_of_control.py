@@ -18,6 +18,11 @@ _FALL_S = 3.0
 """Time in which to see it: it falls 44 m in it, twice the barometer's slowest averaging."""
 _UPSIDE_DOWN = 100.0
 """Degrees of roll or pitch beyond which no multirotor is held unless it flips on purpose."""
+_GRAVITY = 9.81
+_UPRIGHT = 0.7
+"""Cosine of 45 degrees: of what stands so the accelerometer along the rotors has the most."""
+_ABOUT_S = 1.0
+"""Seconds ahead of an attitude in which a blow belongs to it."""
 _ON_ITS_BACK_S = 0.3
 """Chosen: a flip takes as long as it is upside down, a tumbling vehicle too; six samples at 20 Hz."""
 
@@ -56,7 +61,22 @@ def tumbles(facts: LogFacts) -> list[tuple[float, float]]:
     if attitude is None or facts.vehicle != "multirotor":
         return []
     over = (np.abs(attitude.values[:, :2]) > _UPSIDE_DOWN).any(axis=1) & facts.in_flight(attitude.time_s)
-    return spans_where(attitude.time_s, over, _ON_ITS_BACK_S)
+    return [span for span in spans_where(attitude.time_s, over, _ON_ITS_BACK_S) if not undisturbed(facts, span[0])]
+
+
+def undisturbed(facts: LogFacts, start_s: float) -> bool:
+    """Return whether accelerometers and barometer say that a vehicle stood still, whatever its attitude says.
+
+    A vehicle that has turned over falls, and meets the ground: an attitude without either is the estimator's error.
+    """
+    force, height = facts.signals.get("acceleration"), facts.signals.get("height")
+    fell = None if height is None else _fall(height.time_s, height.only, start_s)
+    if force is None or fell is None:
+        return False
+    values = force.during(start_s - _ABOUT_S, start_s + _FALL_S).values
+    blow = float(np.linalg.norm(values, axis=1).max(initial=0.0))
+    upright = len(values) > 0 and float(np.median(values[:, 2])) < -_UPRIGHT * _GRAVITY
+    return upright and blow < 2 * _GRAVITY and abs(fell) < FELL_M
 
 
 def lost_s(facts: LogFacts) -> float:

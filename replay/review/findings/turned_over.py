@@ -44,7 +44,8 @@ RULE = Rule(
     stage="motion",
     physics="With a motor or a propeller gone, or with a wrong attitude, a multirotor tumbles within a second.",
     evidence="roll or pitch beyond 100 degrees for 0.3 s in flight",
-    counter="flips in acro modes; a fall after motors were stopped",
+    counter="flips in acro modes; a fall after motors were stopped; an estimator that errs: no blow, no fall, and the "
+    "accelerometer along the rotors holds the weight",
     needs=("attitude", "motors"),
     judge=_judge,
     multirotor=True,
