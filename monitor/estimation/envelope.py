@@ -110,7 +110,7 @@ def excess_text(sizes: Iterable[tuple[str, float, float, str]]) -> str | None:
     What is 0 in the fitted flights was not measured there.
     """
     parts = (
-        f"{name} {now:.2g} {unit}, fitted to {fitted:.2g}"
+        f"{name} {now:.3g} {unit}, fitted to {fitted:.3g}"
         for name, now, fitted, unit in sizes
         if fitted > 0.0 and now > WORTH_SAYING * fitted
     )
