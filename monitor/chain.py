@@ -215,6 +215,7 @@ class ObserverChain:
             states=gains.states,
             faults=names,
             fault_units=tuple(channel.unit for channel in profile.faults),
+            usual_commands=profile.usual_commands,
         )
         observer = AffineObserver(profile.gains)
         rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s or observer.settling_s()))

@@ -32,8 +32,13 @@ _LARGEST = 1e30
 """Beyond anything that is measured; sizes may come from a network."""
 
 
-def display_unit(unit: str) -> tuple[float, str]:
-    """Return what a size in a unit is multiplied by, and the unit that people say then."""
+def display_unit(unit: str, usual_command: float | None = None) -> tuple[float, str]:
+    """Return what a size in a unit is multiplied by, and the unit that people say then.
+
+    What an actuator lost is said as a share of the command that it usually gets, where that is known.
+    """
+    if usual_command is not None:
+        return 100.0 / usual_command, share_unit(unit)
     if unit in _UNITS:
         return _UNITS[unit]
     of, _, time = unit.rpartition("/")
@@ -48,9 +53,9 @@ def share_unit(unit: str) -> str:
     return _SHARES.get(unit, "% of the command")
 
 
-def size_text(size: float, unit: str, *, signed: bool = False) -> str:
+def size_text(size: float, unit: str, usual_command: float | None = None, *, signed: bool = False) -> str:
     """Return a size in one of the monitor's units as people say it: ``5.73 degrees``; per cent have two digits."""
-    factor, name = display_unit(unit)
+    factor, name = display_unit(unit, usual_command)
     return f"{number_text(factor * size, 2 if '%' in name else 3, signed=signed)} {name}".rstrip()
 
 

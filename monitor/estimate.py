@@ -23,6 +23,8 @@ class Layout:
     states: tuple[str, ...]
     faults: tuple[str, ...]
     fault_units: tuple[str, ...]  # unit of each fault estimate
+    # of each fault of an actuator the command that it usually gets, None where that is not known; empty where none is
+    usual_commands: tuple[float | None, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -156,6 +156,12 @@ class ObserverProfile:
         """Samples per second."""
         return self.gains[0].rate_hz
 
+    @property
+    def usual_commands(self) -> tuple[float | None, ...]:
+        """Of each fault the command with which its motor hovers, None where it is none of a motor."""
+        usual = {one.name: one.stopped_as for one in self.source.channels if one.stopped_as and one.stopped_as > 0.0}
+        return tuple(None if one.input is None else usual.get(one.name) for one in self.faults)
+
 
 @dataclass(frozen=True, slots=True)
 class Profile:

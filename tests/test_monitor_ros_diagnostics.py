@@ -6,6 +6,7 @@ import hashlib
 import json
 import queue
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -56,6 +57,13 @@ HEALTH = Health(
         VehicleHealth("rover", "blind", blind="drive: no GPS for 5 s"),
     ),
 )
+
+
+def test_what_a_motor_lost_is_said_as_its_alarm_says_it() -> None:
+    motor = replace(MOTOR, usual_command=0.5)
+    vehicle = VehicleHealth("copter-1", "monitoring", channels=(motor,))
+    *_, status = diagnostics(Health(ProcessHealth(), vehicles=(vehicle,)))
+    assert status.message == "motor1 -6 % of thrust"
 
 
 def decoded(payload: bytes) -> Any:

@@ -19,7 +19,7 @@ EVENTS = [event(1020, "raised"), event(1300, "cleared"), event(1400, "raised", i
 
 def content(run: RunView, shown: Trace, channel: str) -> dict[str, Any]:
     charts = Charts(run)
-    assert 'data-chart="0"' in charts.add_fault(shown, channel)
+    assert 'data-chart="0"' in charts.add_fault(shown.layout.observer, channel)
     [found] = json.loads(charts.to_json())
     assert isinstance(found, dict)
     return found
@@ -45,6 +45,20 @@ def test_a_fault_s_chart_has_its_estimate_threshold_truth_and_alarms() -> None:
     assert found["unwatched"][0] == [0.0, 1.0]
 
 
+def test_a_motor_s_chart_has_the_size_of_its_alarm() -> None:
+    run = trace()
+    layout = replace(LAYOUT, usual_commands=(0.5, 0.5, None, None))
+    run = replace(run, layout=layout)
+    raised = event(1020, "raised", estimate=-0.02, relative=-0.05)
+    found = content(RunView([run], [raised], THRESHOLDS), run, "motor1")
+    assert found["unit"] == "% of thrust"
+    assert found["threshold"] == pytest.approx(1.5 * 2.5)
+    assert np.nanmin(series(found, "estimate")) == pytest.approx(250.0 * run.isolated[:, 0].min(), rel=1e-3)
+    quiet = content(RunView([run], [raised], THRESHOLDS), run, "motor2")
+    assert (quiet["unit"], quiet["threshold"]) == ("% of thrust", pytest.approx(3.0))
+    assert content(RunView([run], [], THRESHOLDS), run, "motor3")["unit"] == "% of full thrust"
+
+
 def test_lines_break_where_the_observer_restarted() -> None:
     run = trace()
     found = content(RunView([run], [], {}), run, "motor2")
@@ -66,8 +80,8 @@ def test_an_observer_s_charts_show_all_of_it_on_one_axis_of_time() -> None:
     later = replace(later, vehicle_ns=later.vehicle_ns + 5_000_000_000, layout=replace(LAYOUT, observer="other"))
     view = RunView([run, later], EVENTS, THRESHOLDS)
     charts = Charts(view)
-    assert len(list(charts.add_observer(later))) == 2  # none of its channels has a threshold
-    assert len(list(charts.add_observer(run))) == 3
+    assert len(list(charts.add_observer("other"))) == 2  # none of its channels has a threshold
+    assert len(list(charts.add_observer("motors"))) == 3
     residuals, inputs, channels, *_ = json.loads(charts.to_json())
     assert residuals["x"][0] == inputs["x"][0] == 5.0
     assert [one["name"] for one in channels["series"]] == ["motor1", "motor2", "motor3"]
@@ -83,7 +97,7 @@ def test_no_name_ends_the_data() -> None:
     run = trace(200)
     hostile = replace(run, layout=replace(LAYOUT, inputs=("</script><script>alert(1)</script>", "b", "c", "d")))
     charts = Charts(RunView([hostile], [], {}))
-    list(charts.add_observer(hostile))
+    list(charts.add_observer("motors"))
     text = charts.to_json()
     assert "<" not in text
     assert json.loads(text)[1]["series"][0]["name"] == "</script><script>alert(1)</script>"

@@ -108,11 +108,15 @@ _CHANNELS = {
         "type": "object",
         "additionalProperties": {
             "type": "object",
-            "properties": {"threshold": _PERHAPS, "unit": {"type": "string"}},
+            "properties": {
+                "threshold": _PERHAPS,
+                "unit": {"type": "string"},
+                "usual_command": _PERHAPS | {"description": "of a motor in hover; what it lost is a share of it"},
+            },
             "required": ["threshold", "unit"],
         },
     },
-    "description": "thresholds of the fault channels by observer",
+    "description": "thresholds and units of the fault channels by observer",
 }
 _PLACE = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
 """Latitude, longitude and altitude."""

@@ -154,9 +154,10 @@ def _clean(event: Mapping[str, Any]) -> dict[str, Any]:
     return {name: printable(value) if isinstance(value, str) else value for name, value in event.items()}
 
 
-def _shown_unit(unit: object) -> tuple[str, float]:
-    """Return the unit that people say, and what a size is multiplied by then."""
-    factor, name = display_unit(unit if isinstance(unit, str) else "")
+def _shown_unit(channel: Mapping[str, Any]) -> tuple[str, float]:
+    """Return the unit that people say of a channel, and what a size is multiplied by then."""
+    unit, command = channel.get("unit"), number(channel.get("usual_command"))
+    factor, name = display_unit(unit if isinstance(unit, str) else "", command if command > 0.0 else None)
     return printable(name[:60]), factor
 
 
@@ -173,7 +174,7 @@ def vehicle_card(status: VehicleStatus, payload: Mapping[str, Any], mode: str, h
     }
     channels = {
         printable(observer): {
-            printable(name): [number(channel.get("threshold")), *_shown_unit(channel.get("unit"))]
+            printable(name): [number(channel.get("threshold")), *_shown_unit(channel)]
             for name, channel in list(mapping(of_observer).items())[:MAX_CHANNELS]
             if isinstance(channel, Mapping)
         }

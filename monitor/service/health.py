@@ -54,6 +54,7 @@ class ChannelHealth:
     estimate: float | None = None  # what is attributed to it now
     threshold: float | None = None
     severity: Severity | None = None  # of its alarm; None where none is active, or it is shelved
+    usual_command: float | None = None  # of an actuator: what it lost is said as a share of that
 
 
 @dataclass(frozen=True, slots=True)

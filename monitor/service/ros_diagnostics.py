@@ -96,7 +96,9 @@ def _of_observer(vehicle: str, observer: str, channels: Sequence[ChannelHealth])
 
 
 def _size(channel: ChannelHealth) -> str:
-    return fault_text(channel.name, channel.estimate, None, channel.unit)
+    size, command = channel.estimate, channel.usual_command
+    share = None if size is None or command is None else size / command
+    return fault_text(channel.name, size, share, channel.unit)
 
 
 def diagnostics_payload(statuses: Iterator[Diagnostic], now_ns: int) -> bytes:

@@ -316,12 +316,12 @@ class VehicleMonitor:
         return status
 
     def _channels(self) -> dict[str, dict[str, Any]]:
-        """Return thresholds and units of fault channels by observer."""
+        """Return thresholds, units and usual commands of fault channels by observer."""
         thresholds = self.pipeline.thresholds
         return {
             name: {
-                channel: {"threshold": thresholds.get((name, channel)), "unit": unit}
-                for channel, unit in zip(layout.faults, layout.fault_units, strict=True)
+                channel: {"threshold": thresholds.get((name, channel)), "unit": unit, "usual_command": command}
+                for channel, unit, command in zip(layout.faults, layout.fault_units, layout.usual_commands, strict=True)
             }
             for name, layout in self._layouts.items()
         }
@@ -361,16 +361,18 @@ class VehicleMonitor:
             for event in self.pipeline.desk.active
             if event.shelved_until_ns is None
         }
-        sizes: dict[tuple[str, str], tuple[str, float | None]] = {}
+        sizes: dict[tuple[str, str], tuple[str, float | None, float | None]] = {}
         for name, layout in self._layouts.items():
             latest = self._latest.get(name)
             now = [None] * len(layout.faults) if latest is None else latest.isolated[-1].tolist()
-            named = zip(layout.faults, layout.fault_units, now, strict=True)
-            sizes |= {(name, channel): (unit, size) for channel, unit, size in named}
+            named = zip(layout.faults, layout.fault_units, now, layout.usual_commands, strict=True)
+            sizes |= {(name, channel): (unit, size, command) for channel, unit, size, command in named}
         thresholds = self.pipeline.thresholds
         keys = sorted({*self.pipeline.channels, *sizes, FLOOD_KEY})
         return tuple(
-            ChannelHealth(*key, *sizes.get(key, ("", None)), thresholds.get(key), raised.get(key)) for key in keys
+            ChannelHealth(*key, unit, size, thresholds.get(key), raised.get(key), command)
+            for key in keys
+            for unit, size, command in (sizes.get(key, ("", None, None)),)
         )
 
     def flush(self) -> None:

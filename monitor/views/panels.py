@@ -33,12 +33,25 @@ class RunView(NamedTuple):
 
 
 def in_display_units(run: RunView) -> RunView:
-    """Return a run with the sizes of its faults as people say them: per cent, degrees."""
+    """Return a run with the sizes of its faults as people say them: per cent, degrees.
+
+    What is lost of a command is a share of that of the channel's largest alarm, so that both say the same size, else of
+    the usual one.
+    """
+    of_alarms = {
+        (event.observer, event.channel): event.estimate / event.relative
+        for event in sorted(run.events, key=lambda event: abs(event.estimate or 0.0))
+        if event.estimate and event.relative
+    }
     factors: dict[tuple[str, str], float] = {}
     traces = []
     for trace in run.traces:
         layout = trace.layout
-        said = [display_unit(unit) for unit in layout.fault_units]
+        usual = layout.usual_commands or (None,) * len(layout.faults)
+        said = [
+            display_unit(unit, command and of_alarms.get((layout.observer, name), command))
+            for name, unit, command in zip(layout.faults, layout.fault_units, usual, strict=True)
+        ]
         factors |= {(layout.observer, name): factor for name, (factor, _) in zip(layout.faults, said, strict=True)}
         scale = np.array([factor for factor, _ in said])
         layout = replace(layout, fault_units=tuple(name for _, name in said))

@@ -145,7 +145,8 @@ def _profile(content: Mapping[str, Any]) -> Iterator[str]:
         width = max((len(channel) for channel in one["alarms"]), default=0)
         for channel, rule in one["alarms"].items():
             sees = f"; sees {rule['sees']}" if rule["sees"] else ""
-            threshold, critical = (size_text(rule[key], rule["unit"]) for key in ("threshold", "critical"))
+            words = rule["unit"], rule["usual_command"]
+            threshold, critical = (size_text(rule[key], *words) for key in ("threshold", "critical"))
             sizes = f"from {threshold}, critical {critical}"
             yield f"    {channel:<{width}}  {sizes}{sees}"
 

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.display import display_unit
 from monitor.trace import AlarmSpan, Trace, alarm_spans
-from monitor.views.panels import RunView, evidence, fault_limits
+from monitor.views.panels import RunView, evidence, fault_limits, in_display_units
 from replay.reports.plot_panels import DOUBT_DEVIATIONS, held, kept_rows, unwatched, usual_range, usual_size
 from replay.reports.report_html import Html, element
 
@@ -37,11 +36,11 @@ class Chart:
 class Charts:
     """The charts of one page, in the order in which they were added; each is drawn where its element is.
 
-    ``run`` is the run that charts of observers and their channels are of.
+    ``run`` is the run that charts of observers and their channels are of, with sizes in the profile's units.
     """
 
     def __init__(self, run: RunView | None = None) -> None:
-        self._run = run or RunView((), (), {})
+        self._run = in_display_units(run or RunView((), (), {}))
         self._contents: list[dict[str, Any]] = []
 
     def add(self, chart: Chart) -> Html:
@@ -50,14 +49,17 @@ class Charts:
         place = element("div", data_chart=str(len(self._contents) - 1), role="img", aria_label=chart.title)
         return element("figure", element("figcaption", chart.title), place)
 
-    def add_fault(self, trace: Trace, channel: str) -> Html:
+    def add_fault(self, observer: str, channel: str) -> Html:
         """Add the chart of a fault channel."""
-        return self.add(fault_chart(self._run, trace, channel))
+        return self.add(fault_chart(self._run, self._trace(observer), channel))
 
-    def add_observer(self, trace: Trace) -> Iterator[Html]:
+    def add_observer(self, observer: str) -> Iterator[Html]:
         """Add all of an observer."""
-        for chart in observer_charts(self._run, trace):
+        for chart in observer_charts(self._run, self._trace(observer)):
             yield self.add(chart)
+
+    def _trace(self, observer: str) -> Trace:
+        return next(trace for trace in self._run.traces if trace.layout.observer == observer)
 
     def to_json(self) -> str:
         """Return the charts as JSON that ends no element of a page."""
@@ -71,26 +73,28 @@ def origin_ns(traces: Sequence[Trace]) -> int:
 
 
 def fault_chart(run: RunView, trace: Trace, channel: str) -> Chart:
-    """Return the chart of one fault channel: its estimate with uncertainty, threshold, truth, and its alarms."""
+    """Return the chart of one fault channel: its estimate with uncertainty, threshold, truth, and its alarms.
+
+    The run and its trace are in the units that people say.
+    """
     layout, zero_ns = trace.layout, origin_ns(run.traces)
     key, place = (layout.observer, channel), layout.faults.index(channel)
-    factor, unit = display_unit(layout.fault_units[place])
-    estimate = factor * trace.isolated[:, place]
+    estimate = trace.isolated[:, place]
     series = [("estimate", "estimate", estimate)]
     threshold = run.thresholds.get(key)
     if key not in run.without_sd:
-        sd = np.where(trace.armed & held(trace, estimate), DOUBT_DEVIATIONS * factor * trace.sd[:, place], np.nan)
+        sd = np.where(trace.armed & held(trace, estimate), DOUBT_DEVIATIONS * trace.sd[:, place], np.nan)
         series += [("", "low", estimate - sd), ("", "high", estimate + sd)]
     else:
         threshold = None
     if channel in run.truth:
         times_s, sizes = run.truth[channel]
-        known = np.interp(trace.vehicle_ns / 1e9, times_s, factor * sizes, np.nan, np.nan)
+        known = np.interp(trace.vehicle_ns / 1e9, times_s, sizes, np.nan, np.nan)
         series.append(("truth", "truth", known))
     content = _content(trace, zero_ns, series) | {
-        "unit": unit,
-        "limits": [_short(factor * end) for end in fault_limits(trace, [place], run.thresholds, run.truth)],
-        "threshold": None if threshold is None else _short(factor * threshold),
+        "unit": layout.fault_units[place],
+        "limits": [_short(end) for end in fault_limits(trace, [place], run.thresholds, run.truth)],
+        "threshold": None if threshold is None else _short(threshold),
         "spans": _spans(run, zero_ns, lambda span: (span.observer, span.channel) == key),
     }
     return Chart(channel, content)

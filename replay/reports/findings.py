@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from adapters.toml_tables import is_number
 from monitor.alarms.alarm import AlarmRule, alarm_message
+from monitor.display import size_text
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.event import AlarmEvent
 from monitor.profile import Profile
@@ -69,6 +70,11 @@ class WatchedChannel:
     peak: float | None  # largest evidence meanwhile by size; None where there is none, or it is not recorded
     alarms: int  # how many alarms it raised
     effect: EffectivenessRule | None  # as of :class:`Finding`
+    usual_command: float | None  # of a motor: what it lost is said as a share of that
+
+    def size_text(self, size: float) -> str:
+        """Return a size of the channel as people say it."""
+        return size_text(size, self.rule.unit, self.usual_command)
 
 
 def effects(profile: Profile) -> dict[tuple[str, str], EffectivenessRule]:
@@ -108,8 +114,10 @@ def watched_channels(
             peak=_peak(by_name.get(rule.observer), rule.channel),
             alarms=sum((one.alarm.observer, one.alarm.channel) == (rule.observer, rule.channel) for one in results),
             effect=by_effect.get((rule.observer, rule.channel)),
+            usual_command=commands.get(rule.channel),
         )
         for observer in profile.observers
+        for commands in (dict(zip((one.name for one in observer.faults), observer.usual_commands, strict=True)),)
         for rule in observer.alarms
     ]
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from adapters.logs.damage import Damage
 from adapters.output_file import write_file
-from monitor.alarms.alarm import AlarmRule
 from monitor.bus.alarm_text import utc
 from monitor.display import fault_text, size_text
 from monitor.estimation.effectiveness import EffectivenessRule
@@ -106,7 +105,7 @@ def _found(run: Run, results: Sequence[Finding], watched: Sequence[WatchedChanne
             "article",
             element("h3", f"{one.alarm.observer} / {one.alarm.channel}: {one.message}"),
             facts(_of_finding(run, one)),
-            charts.add_fault(trace, one.alarm.channel) if shown and trace is not None else "",
+            charts.add_fault(one.alarm.observer, one.alarm.channel) if shown else "",
             class_=one.alarm.severity,
         )
 
@@ -115,19 +114,19 @@ def _nothing_found(run: Run, watched: Sequence[WatchedChannel]) -> str:
     if not run.replay.evidence:
         return "Nothing: no observer watched for a single sample. This says nothing about the vehicle."
     blind = "".join(f" {name} watched nothing at all." for name in _blind(run.replay))
-    least: dict[str, AlarmRule] = {}
+    least: dict[str, WatchedChannel] = {}
     for one in watched:
-        known = least.get(one.rule.channel, one.rule)
+        known = least.get(one.rule.channel, one).rule
         if (
             one.watched_s
             and one.effect is None
             and "times" not in one.rule.unit
             and one.rule.threshold <= known.threshold
         ):
-            least[one.rule.channel] = one.rule
+            least[one.rule.channel] = one
     from_size: dict[str, list[str]] = {}
-    for channel, rule in least.items():
-        from_size.setdefault(size_text(rule.threshold, rule.unit), []).append(channel)
+    for channel, one in least.items():
+        from_size.setdefault(one.size_text(one.rule.threshold), []).append(channel)
     seen = "; ".join(f"{', '.join(channels)} from {size}" for size, channels in from_size.items())
     return (
         f"No alarm was raised.{blind} That covers the channels below, from their thresholds on, while watched."
@@ -193,7 +192,7 @@ def _all_charts(run: Run, charts: Charts) -> Iterator[Html]:
     drawn = [trace for trace in run.replay.traces if len(trace.vehicle_ns)]
     for trace in drawn:
         yield element("h3", trace.layout.observer)
-        yield from charts.add_observer(trace)
+        yield from charts.add_observer(trace.layout.observer)
     if not drawn:
         yield element("p", "No observer had a sample: there is nothing to draw.")
 
@@ -217,8 +216,8 @@ def _watched(run: Run, results: Sequence[Finding], watched: Sequence[WatchedChan
 def _of_channel(one: WatchedChannel) -> tuple[object, ...]:
     return (
         one.rule.channel,
-        "" if one.peak is None else size_text(one.peak, one.rule.unit),
-        size_text(one.rule.threshold, one.rule.unit) if one.effect is None else "",
+        "" if one.peak is None else one.size_text(one.peak),
+        one.size_text(one.rule.threshold) if one.effect is None else "",
         one.alarms or "",
         one.rule.sees or ("" if one.effect is None else _certain(one.effect)),
         _rests_on(one),
