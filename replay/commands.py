@@ -52,7 +52,7 @@ def _add_demo(subparsers: Any) -> None:
         "vehicle", nargs="?", choices=["arm", "copter"], default="arm", help="simulated arm, or recorded flight (arm)"
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("demo-out"), metavar="DIR", help="folder for the results (demo-out)"
+        "-o", "--out", type=Path, default=Path("demo-out"), metavar="DIR", help="folder for the results (demo-out)"
     )
     parser.add_argument(
         "--speed",

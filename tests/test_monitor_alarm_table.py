@@ -98,6 +98,16 @@ def test_endless_names_do_not_fill_the_memory_and_the_latest_stay() -> None:
     assert ("active", f"motors/c{MAX_ALARMS + 99}", "raised") in found
 
 
+def test_the_sentence_says_the_size_of_now_and_keeps_what_is_behind_it() -> None:
+    table = AlarmTable()
+    said = "motor1 delivers 5 % less than commanded; affected: motor2"
+    raised = event(1, message=said, estimate=-0.02, relative=-0.05, unit="fraction of full command")
+    table.take(raised, 0)
+    table.resize(raised.vehicle, raised.observer, {raised.channel: -0.04})
+    [row] = table.rows(START_NS)
+    assert (row.size, row.message) == ("-10 % of thrust", said.replace("5 %", "10 %"))
+
+
 @given(st.text(max_size=8), st.text(max_size=8), st.integers(), st.floats())
 def test_no_column_holds_control_characters(text: str, unit: str, time_ns: int, size: float) -> None:
     table = AlarmTable()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Literal
 
 from adapters.errors import printable
+from monitor.alarms.alarm import alarm_message
 from monitor.event import AlarmEvent
 
 KEPT_CLEARED_S = 30.0
@@ -92,11 +94,17 @@ class AlarmTable:
         return [(group, self._sized(key, event)) for group, key, event in rows]
 
     def _sized(self, key: RowKey, event: AlarmEvent) -> AlarmEvent:
-        """Return the event with the size that its fault has now; a share goes with the estimate."""
+        """Return the event with the size that its fault has now, its sentence, too; a share goes with the estimate."""
         if (size := self._sizes.get(key)) is None or event.state == "cleared":
             return event
         share = None if event.relative is None or not event.estimate else size * event.relative / event.estimate
-        return replace(event, estimate=size, relative=share)
+        message = event.message
+        if event.estimate is not None and math.isfinite(event.estimate):
+            same = event.observer, event.channel, event.kind, event.unit, event.state
+            said = alarm_message(*same, event.estimate, event.relative)
+            if message.startswith(said):
+                message = alarm_message(*same, size, share) + message.removeprefix(said)
+        return replace(event, estimate=size, relative=share, message=message)
 
     def _make_room(self) -> None:
         """Forget the channel that was silent longest: who publishes endless names shall not fill the memory."""
