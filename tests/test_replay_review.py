@@ -288,7 +288,7 @@ def test_a_gyro_beside_a_compass_is_one_of_two() -> None:
 @pytest.mark.parametrize(
     "alarm",
     [
-        replace(LEARNED["actuator_effect"], end_s=29.0),
+        replace(LEARNED["actuator_effect"], end_s=36.0),
         replace(LEARNED["actuator_effect"], channel="unexplained"),
         replace(LEARNED["actuator_effect"], start_s=51.0, end_s=60.0),
         replace(LEARNED["sensor_effect"], channel="gps_east", share=1.9),
@@ -296,14 +296,31 @@ def test_a_gyro_beside_a_compass_is_one_of_two() -> None:
         replace(LEARNED["sensor_effect"], channel="compass", share=9.0),
         replace(LEARNED["sensor_effect"], observer="motors"),
     ],
-    ids=["short", "unexplained", "at landing", "wind", "strong wind", "heading", "command against motion"],
+    ids=["it ended by itself", "unexplained", "at landing", "wind", "strong wind", "heading", "command against motion"],
 )
 def test_an_alarm_of_what_was_learned_may_be_the_flight_itself(alarm: LearnedAlarm) -> None:
     assert names(watched(alarm)) == []
 
 
+def test_an_alarm_that_lasts_to_the_end_of_the_flight_may_be_short() -> None:
+    assert names(watched(replace(LEARNED["actuator_effect"], start_s=49.0, end_s=60.0))) == ["actuator_effect"]
+
+
+def test_a_size_that_no_actuator_can_have_is_not_stated() -> None:
+    """The commands of a vehicle that lay on the ground were so small that a motor was to lack four times as much."""
+    review = watched(replace(LEARNED["actuator_effect"], possible=False, text="motor2 is off by 22 % of full thrust"))
+    assert names(review) == []
+    assert "motor2 would lack more than there is" in review.unjudged["An actuator does less than it did"]
+
+
+def test_what_was_learned_as_healthy_is_said() -> None:
+    said = watched().unjudged["A fault from take-off on"]
+    assert "before 20 s" in said
+    assert "a 50 %, b 50 %" in said
+
+
 def test_an_alarm_after_control_was_lost_is_a_consequence() -> None:
-    alarm = replace(LEARNED["sensor_effect"], start_s=31.0)
+    alarm = replace(LEARNED["sensor_effect"], start_s=31.0, end_s=60.0)
     assert names(watched(alarm, lost=True)) == ["turned_over"]
 
 

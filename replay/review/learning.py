@@ -12,6 +12,7 @@ import numpy as np
 from adapters.batch import Batch
 from adapters.errors import FauioError
 from adapters.logs.recordings import Recording
+from monitor.alarms.alarm import DEFLECTION
 from monitor.event import AlarmEvent
 from monitor.fitting.flights import part_of
 from monitor.profile import read_profile
@@ -93,7 +94,7 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
             share=peak / threshold,
             text=typical.message,
             size=abs(typical.estimate or 0.0),
-            relative=typical.relative,
+            possible=typical.relative is not None or typical.kind != "actuator" or typical.unit == DEFLECTION,
         )
 
 

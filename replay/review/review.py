@@ -132,7 +132,20 @@ def judged(path: Path, facts: LogFacts, damage: Sequence[Damage] = ()) -> LogRev
         found += ((rule, one) for one in judgements)
         if not judgements:
             watched.append(rule.title)
+    if facts.watch is not None:
+        unjudged["A fault from take-off on"] = _taught(facts, facts.watch.until_s)
     return LogReview(path, facts, tuple(_ordered(found)), tuple(watched), unjudged, tuple(damage))
+
+
+def _taught(facts: LogFacts, until_s: float) -> str:
+    """Return what was learned as healthy, with what a motor that is weak from the begin would show in."""
+    said = f"what began before {until_s:.0f} s was learned as the vehicle's own make"
+    motors = facts.signals.get("motors")
+    if motors is None:
+        return said
+    during = motors.values[facts.in_flight(motors.time_s) & (motors.time_s < until_s)]
+    shares = zip(motors.names, 100.0 * during.mean(axis=0), strict=True) if len(during) else ()
+    return f"{said}; mean commands until then: {', '.join(f'{name} {share:.0f} %' for name, share in shares)}"
 
 
 def _lacking(rule: Rule, facts: LogFacts) -> Iterator[str]:

@@ -82,7 +82,7 @@ class Statement:
 class LearnedAlarm:
     """An alarm of a profile learned from the flight itself: its typical size, and its peak over its threshold.
 
-    ``relative`` is that size as a share of the command, where there is one.
+    ``possible`` says whether an actuator can lack as much as that size says.
     """
 
     start_s: float
@@ -92,7 +92,7 @@ class LearnedAlarm:
     share: float
     text: str
     size: float = 0.0
-    relative: float | None = None
+    possible: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,8 +27,9 @@ RULE = Rule(
     "motors, a plane's body rates follow its surfaces times the dynamic pressure, its thrust (forward specific force "
     "and drag) the throttle, a rover's yaw rate its steering times the speed. An actuator that fails leaves that, "
     "whatever the autopilot does to hold the vehicle.",
-    evidence="the observer designed from that model raises an alarm of one actuator for 5 s or longer",
-    counter="what was so from the begin cannot be told from how the vehicle is built; shorter alarms",
+    evidence="the observer designed from that model raises an alarm of one actuator until the flight ends, or for 12 s",
+    counter="what was so from the begin cannot be told from how the vehicle is built; shorter alarms; a size that no "
+    "actuator can have, which says that what was learned does not hold",
     needs=("watch",),
     judge=_judge,
 )

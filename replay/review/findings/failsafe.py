@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from replay.review.facts.log_facts import LogFacts, inside
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts
 from replay.review.findings.loss_of_control import lost_s
 from replay.review.findings.rule import Judgement, Rule
 
@@ -15,9 +17,10 @@ _LATER_S = 1.0
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     end_s = lost_s(facts) + _LATER_S
     said = [one for one in facts.statements if one.kind == "failsafe" and one.level and one.time_s < end_s]
-    flown = inside_flight(facts, [one.time_s for one in said])
-    for text in dict.fromkeys(one.text for one, flies in zip(said, flown, strict=True) if flies):
-        times = [one.time_s for one, flies in zip(said, flown, strict=True) if flies and one.text == text]
+    flown = facts.in_flight(np.array([one.time_s for one in said])).tolist()
+    said = [one for one, flies in zip(said, flown, strict=True) if flies]
+    for text in dict.fromkeys(one.text for one in said):
+        times = [one.time_s for one in said if one.text == text]
         yield Judgement(
             start_s=times[0],
             end_s=times[-1],
@@ -28,13 +31,6 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             weight="warning",
             plots=("attitude", "ratios", "battery"),
         )
-
-
-def inside_flight(facts: LogFacts, times_s: list[float]) -> list[bool]:
-    """Return which of some times are in flight."""
-    import numpy as np
-
-    return list(inside(np.array(times_s), facts.flight))
 
 
 RULE = Rule(

@@ -40,8 +40,8 @@ RULE = Rule(
     stage="sensor",
     physics="GPS, barometer, compass, gyros and accelerometers are tied by kinematics: what one says beside the others "
     "is estimated, with the noise of the flight's own first 40 s.",
-    evidence="the observer raises an alarm of one sensor for 5 s or longer; of GPS and barometer at 3 times its "
-    "threshold",
+    evidence="the observer raises an alarm of one sensor until the flight ends, or for 12 s; of GPS "
+    "and barometer at 3 times its threshold",
     counter="wind that the begin did not have moves estimates of GPS: up to 2.5 m, its own accuracy, is no finding; "
     "what was so from the begin",
     needs=("watch",),
