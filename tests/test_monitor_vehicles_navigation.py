@@ -73,6 +73,13 @@ def test_a_bias_of_all_gyros_is_named_although_the_attitude_follows_it(axis: int
     assert others(found, name) < SMALLEST_GYRO
 
 
+@pytest.mark.parametrize("turned", [0.8, 2.5])
+def test_an_autopilot_that_sets_its_heading_to_a_wrong_one_makes_no_fault(turned: float) -> None:
+    raw = noisy(60.0, 5)
+    raw[ONSET:, 8] += turned
+    assert others(named(raw), "") == 0.0
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_bias_of_all_accelerometers_is_named_in_body_axes(axis: int) -> None:
     raw = noisy(45.0, 3)

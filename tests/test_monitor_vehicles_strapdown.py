@@ -152,6 +152,25 @@ def test_an_estimator_that_resets_its_attitude_is_no_rotation() -> None:
     assert errors["rotation_x"] < 0.01
 
 
+def test_a_compass_agrees_with_the_gyros_after_a_flip_about_any_axis() -> None:
+    t = np.arange(1000) / truth.SIGNAL_HZ
+    turn = 2.0 * np.pi * np.clip(t - 4.0, 0.0, 1.0)
+    for axis in (0, 1):
+        raw = np.zeros((len(t), 18))
+        raw[:, 2] = -9.8
+        raw[:, 3 + axis] = 2.0 * np.pi * ((t >= 4.0) & (t < 5.0))
+        over = np.cos(turn) < 0.0 if axis else np.zeros(len(t), np.bool_)
+        raw[:, 6] = np.where(over, np.pi, 0.0) if axis else np.arctan2(np.sin(turn), np.cos(turn))
+        raw[:, 7] = np.arcsin(np.sin(turn)) if axis else 0.0
+        raw[:, 8] = np.where(over, np.pi, 0.0)
+        raw[:, 9:11] = truth.HOME
+        x, y, z = truth.FIELD
+        turned = (np.cos(turn) * x - np.sin(turn) * z, np.full(len(t), y), np.cos(turn) * z + np.sin(turn) * x)
+        rolled = (np.full(len(t), x), np.cos(turn) * y + np.sin(turn) * z, np.cos(turn) * z - np.sin(turn) * y)
+        raw[:, 15:18] = np.column_stack(turned if axis else rolled)
+        assert disagreement(*truth.transformed(raw))["heading"] < 0.05
+
+
 def test_a_gyro_bias_is_a_growing_disagreement_of_its_own_axis() -> None:
     raw = truth.signals(10.0)
     raw[500:, 4] += 0.1
@@ -232,17 +251,18 @@ def test_angles_that_wrap_between_measurements_pass_the_sampler_unharmed() -> No
 
 
 def test_a_roll_that_wraps_between_measurements_passes_the_sampler_unharmed() -> None:
-    rolls = np.deg2rad([170.0, -170.0, -150.0])
-    batch = pack(
-        [
-            Message(MAVLINK, "ATTITUDE", k, {"time_boot_ms": 1000 + 40 * k, "roll": r, "pitch": 0.0, "yaw": 0.0}, 1, 1)
-            for k, r in enumerate(rolls.tolist())
-        ]
-    )
+    rolls = [math.remainder(0.3 * k, 2.0 * math.pi) for k in range(100)]
     channel = next(one for one in strapdown_channels(EXAMPLES).channels if one.name == "roll")
     sampler = Sampler([channel], [], 50.0, VehicleClock())
-    taken = sample_batch(sampler.clock, [sampler], batch).samples[0]
-    assert np.degrees(taken.u[:3, 0]) == pytest.approx([170.0, 180.0, -170.0])
+    telemetry = [
+        Message(MAVLINK, "ATTITUDE", 40_000_000 * k, {"time_boot_ms": 1000 + 40 * k, "roll": roll}, 1, 1)
+        for k, roll in enumerate(rolls)
+    ]
+    samples = sample_batch(sampler.clock, [sampler], pack(telemetry)).samples[0]
+    assert len(samples) > 100
+    assert [math.remainder(step, 2.0 * math.pi) for step in np.diff(samples.u[:, 0])] == pytest.approx(
+        [0.15] * (len(samples) - 1)
+    )
 
 
 def messages(k: int, row: np.ndarray) -> list[Message]:

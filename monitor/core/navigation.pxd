@@ -20,7 +20,8 @@ cdef struct Signature:
 cdef class Navigation:
     cdef double _dt, _level
     cdef int _every, _ticks, _count, _helpless
-    cdef bint _begun
+    # whether it has begun, and whether the autopilot's heading is another one
+    cdef bint _begun, _turned
     cdef double[9] _R
     cdef double[3] _rate
     cdef double[3] _force

@@ -64,8 +64,13 @@ cdef double[2] _LEAST = [0.01, 0.25]
 # Largest bias that is believed, rad/s and m/s^2: what is more is no navigation of this flight any more. Chosen: ten and
 # six times those of which flights were recorded; with it no autopilot keeps the vehicle in the air.
 cdef double[2] _MOST = [1.0, 4.0]
-# A heading this far off, rad, is that of another start.
+# A heading this far off, rad, is that of another start: the autopilot has set its attitude anew, to a right one or to a
+# wrong one. It counts again when the way that the vehicle goes agrees with it, within two deviations of its noise.
 cdef double _TURNED = 0.5
+# Sine of the pitch from which on a heading tells nothing: at 60 degrees errors of the attitude are twice as large in it.
+cdef double _STEEP = 0.87
+# Variance of a measurement that is none.
+cdef double _UNKNOWN = 1e12
 # Steps with a fault that no hypothesis tells until the filter begins anew: a second set of onsets.
 cdef int _HELPLESS = 2 * ONSETS
 # Steps between two onsets.
@@ -127,6 +132,7 @@ cdef class Navigation:
         memset(self._sharp, 0, sizeof(self._sharp))
         memset(self._missed, 0, sizeof(self._missed))
         self._ticks = self._count = self._helpless = 0
+        self._turned = False
 
     cdef bint go_on(
         self, const double* force, const double* rate, const double* R, double yaw, bint lacks, double* acceleration
@@ -247,8 +253,14 @@ cdef class Navigation:
         innovation[2] = yaw - atan2(self._R[3], self._R[0])
         innovation[2] = atan2(sin(innovation[2]), cos(innovation[2]))
         variance[2] = _HEADING_NOISE * _HEADING_NOISE
-        if fabs(innovation[2]) > _TURNED:
-            self._P[2][2] += innovation[2] * innovation[2]
+        if fabs(self._R[6]) <= _STEEP:
+            if not self._turned and fabs(innovation[2]) > _TURNED:
+                self._turned = True
+                self._P[2][2] += innovation[2] * innovation[2]
+            elif fabs(innovation[2]) < 2.0 * _HEADING_NOISE:
+                self._turned = False
+        if self._turned or fabs(self._R[6]) > _STEEP:
+            variance[2] = _UNKNOWN
         self.update(innovation, variance)
         self._count += 1
         self.judge()

@@ -21,8 +21,9 @@ cdef double _GRAVITY = STANDARD_GRAVITY
 cdef double _WGS84_A = 6_378_137.0
 cdef double _WGS84_E2 = 6.694_379_990_14e-3
 cdef double _DEGREE = M_PI / 180.0
-# Chosen: within 3 degrees of the vertical the heading's rate is the body's times more than 20, and grows without bound.
-cdef double _STEEPEST_COSINE = 0.05
+# Cosine of the pitch from which on the compass is not compared: an error of the attitude is twice as large in the
+# heading at 60 degrees, and grows without bound; at the vertical a heading is none.
+cdef double _STEEPEST_COSINE = 0.5
 # Chosen: an attitude that turns faster than the gyro measures by this much (rad/s, well above a gyro's bias) was
 # reset, as where another estimator took over. That takes a few ticks at most: one that goes on for longer is believed.
 cdef double _RESET_RATE = 1.0
@@ -224,7 +225,7 @@ cdef class StrapdownCore:
         self._motion = _Delay.__new__(_Delay, imu_ticks, 4)
         self._fixes = _Delay.__new__(_Delay, gps_ticks, 6)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
-        self._levels = _Delay.__new__(_Delay, compass_ticks, 6)
+        self._levels = _Delay.__new__(_Delay, compass_ticks, 7)
         self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 17)
         self._attitude_share, self._angle_s = attitude_share, angles_s
         self._learned = learned
@@ -408,12 +409,18 @@ cdef class StrapdownCore:
         cdef double* level
         cdef double* fix = NULL
         cdef double* altitude = NULL
-        cdef double cosine, course, pitching
-        cdef bint full, still = lacks[_IMU] or self._still
+        cdef double[9] before
+        cdef double[3] mean
+        cdef double biased, course
+        cdef bint full, first, steep = False, still = lacks[_IMU] or self._still
         cdef int i = 0, k = 0, axis
         values[0], values[1] = cos(signals[6]), sin(signals[6])
         values[2], values[3] = cos(signals[7]), sin(signals[7])
         _rotation(values, cos(signals[8]), sin(signals[8]), R)
+        first = not self._turning
+        memcpy(before, <double*>R if first else <double*>self._attitude, sizeof(before))
+        for axis in range(3):
+            mean[axis] = rate[axis] if first else 0.5 * (self._turn_rate[axis] + rate[axis])
         # What an estimator has learned says nothing of resets of its attitude.
         self.turn(R, rate, still or self._learned, turning)
         self._still = lacks[_IMU]
@@ -423,16 +430,14 @@ cdef class StrapdownCore:
             for axis in range(3):
                 turning[axis] += rate[axis]
             rate = turning
-        cosine = values[2]
-        if fabs(cosine) < _STEEPEST_COSINE:
-            cosine = _STEEPEST_COSINE if cosine >= 0.0 else -_STEEPEST_COSINE
-        # The heading's rate of the body's rates: (q sin(roll) + r cos(roll)) / cos(pitch).
+        if still or self._learned:
+            memcpy(mean, rate, sizeof(mean))
         # Of a gyro y that is known to be at fault its bias is left out; that of a gyro z is the observer's to find.
-        pitching = rate[1]
-        if self._navigation is not None and not still:
-            pitching -= self._navigation.fault(1)
-        values[4] = (pitching * values[1] + rate[2] * values[0]) / cosine
+        biased = 0.0 if self._navigation is None or still else self._navigation.fault(1)
+        values[4] = _heading_rate(before, self._dt, mean[0], mean[1] - biased, mean[2])
         values[5] = still
+        # Between two measurements on either side of the vertical a straight line of roll, pitch and yaw is no attitude.
+        values[6] = self._resets > 0 or fabs(values[2]) < _STEEPEST_COSINE
         level = self._levels.push(values)
         # Acceleration north, east and down: R f + g.
         for axis in range(3):
@@ -499,7 +504,11 @@ cdef class StrapdownCore:
             u[i + axis], y[k + axis] = rate[axis], self._turned[axis]
         if self._mag:
             u[i + 3] = level[4]
-            self.follow_field(level, sensors)
+            steep = level[6] != 0.0
+            if steep:
+                # What the compass would have shown meanwhile nothing tells.
+                self._doubt[_MAG], self._unknown[_MAG] = self._longest + 1, True
+            self.follow_field(level, sensors, steep)
             y[k + 3] = self._heading
         if self._navigation is not None:
             for axis in range(2):
@@ -510,13 +519,13 @@ cdef class StrapdownCore:
         if still or self._learned:
             for axis in range(3):
                 meant[i + axis] = rate[axis]
-        if self._mag and level[5]:
+        if self._mag:
             meant[i + 3] = level[4]
         self.reckon(
             motion[3] != 0.0,
             self._gps and fix[5] != 0.0,
             self._baro and altitude[1] != 0.0,
-            self._mag and lacks[_MAG] and not still and level[5] == 0.0,
+            self._mag and (steep or (lacks[_MAG] and not still and level[5] == 0.0)),
             y,
             meant,
         )
@@ -580,16 +589,14 @@ cdef class StrapdownCore:
     cdef bint stuck(self) noexcept:
         return self._fix_age > self._gps_hold > 0
 
-    cdef void follow_field(self, const double* level, const double* field) noexcept:
+    cdef void follow_field(self, const double* level, const double* field, bint steep) noexcept:
         """Follow the heading of the magnetometer, until its next measurement by the body's rates."""
-        if memcmp(field, self._field, sizeof(self._field)) != 0:
-            self._field_age = 0
-            memcpy(self._field, field, sizeof(self._field))
-        elif self._field_age < self._compass_hold:
-            self._field_age += 1
-            self._heading = self._heading + level[4] * self._dt
-            return
-        self._heading = self._heading + _wrapped(_magnetic_heading(level, field) - self._heading)
+        cdef bint same = memcmp(field, self._field, sizeof(self._field)) == 0
+        self._heading = self._heading + level[4] * self._dt
+        self._field_age = min(self._field_age + 1, self._compass_hold) if same else 0
+        memcpy(self._field, field, sizeof(self._field))
+        if not steep and (not same or self._field_age >= self._compass_hold):
+            self._heading = self._heading + _wrapped(_magnetic_heading(level, field) - self._heading)
 
     cdef void reckon(self, bint imu, bint gps, bint baro, bint mag, double* y, double* meant) noexcept:
         """Let what lacks since the tick before follow what is there.
@@ -760,6 +767,25 @@ cdef inline void _small_rotation(const double* before, const double* after, doub
     # The sine of the angle is in these; angle / sine = 1 + angle^2 / 6 + ...
     cdef double longer = 1.0 + (x * x + y * y + z * z) / 6.0
     angles[0], angles[1], angles[2] = x * longer, y * longer, z * longer
+
+
+cdef double _heading_rate(const double* R, double dt, double p, double q, double r) noexcept:
+    """Return how fast the heading of a body at an attitude goes on that turns at mean rates for a tick.
+
+    By the whole rotation of the tick, of the body's x axis (Rodrigues): rates of angles have none near the vertical.
+    """
+    cdef double x = p * dt, y = q * dt, z = r * dt, square = x * x + y * y + z * z, angle = sqrt(square)
+    cdef double s = 1.0 - square / 6.0, c = 0.5
+    cdef double[3] ahead
+    if angle > 1e-4:
+        s, c = sin(angle) / angle, (1.0 - cos(angle)) / square
+    ahead[0], ahead[1], ahead[2] = 1.0 + c * (x * x - square), s * z + c * x * y, c * x * z - s * y
+    return _wrapped(
+        atan2(
+            R[3] * ahead[0] + R[4] * ahead[1] + R[5] * ahead[2], R[0] * ahead[0] + R[1] * ahead[1] + R[2] * ahead[2]
+        )
+        - atan2(R[3], R[0])
+    ) / dt
 
 
 cdef inline double _magnetic_heading(const double* level, const double* field) noexcept:
