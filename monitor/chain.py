@@ -387,7 +387,7 @@ class ObserverChain:
         """
         if position is None:
             position = np.arange(len(samples))
-        found = self._estimator.run(samples, armed)
+        found = self._estimator.run(samples, armed, beyond)
         sd = self._spread * self._uncertainty.run(samples.measured, samples.restart)
         for name in spread.keys() & set(self.layout.faults):
             index = self.layout.faults.index(name)

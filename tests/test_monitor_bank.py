@@ -9,9 +9,9 @@ from adapters.sample import Samples
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
 from gains.synthesis.bank import compile_bank, design_bank
 from gains.synthesis.gains_file import Gains
-from monitor.core.bank import Choice
+from monitor.core.bank import Choice, Washout
 from monitor.estimation.affine import AffineObserver
-from monitor.estimation.bank import Bank, EstimatorRun, whitening
+from monitor.estimation.bank import Bank, EstimatorRun, washout_inverse, whitening
 from monitor.estimation.isolation_rule import BankRule
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-0.7, 0.7))
@@ -114,7 +114,9 @@ class Choices:
 
     FAULTS = (("left",), ("right",), ("left", "right"))
 
-    def __init__(self, penalty: float = 25.0, usual: float = 0.0, keep: float = 0.0) -> None:
+    def __init__(
+        self, penalty: float = 25.0, usual: float = 0.0, keep: float = 0.0, washed: Washout | None = None
+    ) -> None:
         # One output, without smoothing: J is the square of the residual.
         self._choice = Choice(
             whitening=np.ones((3, 1, 1)),
@@ -125,7 +127,7 @@ class Choices:
             groups=[np.array([0, 1]), np.array([2])],
             own=np.array([[True, False], [False, True], [True, True]]),
             edges=[],
-            washouts=[],
+            washouts=[] if washed is None else [(0, washed)],
             keep=keep,
             floor=9.0,
             share=0.04,
@@ -135,14 +137,20 @@ class Choices:
         )
 
     def run(
-        self, J: list[list[float]], fault: tuple[float, ...] = (-1.0, -2.0, -3.0, -4.0), armed: bool = True
+        self,
+        J: list[list[float]],
+        fault: tuple[float, ...] = (-1.0, -2.0, -3.0, -4.0),
+        armed: bool = True,
+        beyond: float = 1.0,
     ) -> EstimatorRun:
         count = len(J)
         flags = np.ones(count, np.uint8)
         x = np.tile(np.arange(3.0), (count, 1))[:, :, None]
         residual = np.sqrt(np.array(J))[:, :, None]
         faults = np.tile(fault, (count, 1))
-        return EstimatorRun(*self._choice.run(x, faults, residual, flags, flags, 0 * flags, armed * flags))
+        return EstimatorRun(
+            *self._choice.run(x, faults, residual, flags, flags, 0 * flags, armed * flags, np.full(count, beyond))
+        )
 
 
 @pytest.mark.parametrize(
@@ -210,3 +218,13 @@ def test_what_nothing_explains_does_not_hide_itself() -> None:
         run = Choices(usual=2.0).run([[J, J, J]] * 1000)
         assert np.array_equal(run.unexplained, np.full(1000, np.sqrt(J)), equal_nan=True)
         assert (run.level == 1.0).all()
+
+
+def test_outside_of_the_fitted_flights_only_so_much_larger_estimates_are_given_back() -> None:
+    explained = [[0.0, 1.0, 1.0]] * 100
+    given = [
+        Choices(washed=washout_inverse(1.0, 10.0, 1.5)).run(explained, beyond=beyond).evidence[-1, 0]
+        for beyond in (1.0, 2.0)
+    ]
+    assert given[0] < -8.0
+    assert given[1] == -1.0

@@ -26,7 +26,15 @@ class Choice:
         follow: float = 0.0,
     ) -> None: ...
     def run(
-        self, x: Array, fault: Array, residual: Array, measured: Flags, complete: Flags, restart: Flags, armed: Flags
+        self,
+        x: Array,
+        fault: Array,
+        residual: Array,
+        measured: Flags,
+        complete: Flags,
+        restart: Flags,
+        armed: Flags,
+        beyond: Array,
     ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], Array, Array, Array]: ...
 
 class EdgeDetector:

@@ -120,18 +120,18 @@ cdef class Choice:
 
     def run(self, const double[:, :, :] x, const double[:, :] fault, const double[:, :, :] residual,
             const unsigned char[:] measured, const unsigned char[:] complete, const unsigned char[:] restart,
-            const unsigned char[:] armed):
+            const unsigned char[:] armed, const double[:] beyond):
         """Return believed x, fault, believed residual, evidence, counted, smoothed, unexplained and level of n rows.
 
         x (n, K, states), fault (n, F) and residual (n, K, p) are what the observers estimate. A row that is neither
         measured nor a restart teaches nothing: the choice stays. The level is followed over rows that are evidence
-        (``armed``).
+        (``armed``). ``beyond`` is how many times larger all sizes are outside of the fitted flights.
         """
         cdef Py_ssize_t k, i, count = x.shape[0], states = x.shape[2], p = residual.shape[2], a = self.shown.shape[0]
         if not count == fault.shape[0] == residual.shape[0]:
             raise ValueError("x, fault and residual differ in length")
-        if not count == measured.shape[0] == complete.shape[0] == restart.shape[0] == armed.shape[0]:
-            raise ValueError("x, measured, complete, restart and armed differ in length")
+        if not count == measured.shape[0] == complete.shape[0] == restart.shape[0] == armed.shape[0] == beyond.shape[0]:
+            raise ValueError("x, measured, complete, restart, armed and beyond differ in length")
         if x.shape[1] != self.J.shape[0] or residual.shape[1] != self.J.shape[0] or p != self.residual.shape[1]:
             raise ValueError("x and residual are not of the bank's hypotheses and outputs")
         if fault.shape[1] != self.fault.shape[0]:
@@ -150,7 +150,7 @@ cdef class Choice:
                 self.clear()
             level[k] = max(1.0, self.level)
             if measured[k] or restart[k]:
-                self.update(fault, residual, k, complete[k] and not self.coasted)
+                self.update(fault, residual, k, complete[k] and not self.coasted, beyond[k])
                 # What no hypothesis explains is no weather: it must not hide itself.
                 if armed[k] and self.usual > 0.0 and self.unexplained == 0.0:
                     brought = level[k] * self.least / self.usual
@@ -181,7 +181,7 @@ cdef class Choice:
             (<Washout> self.washouts[i]).clear()
 
     cdef void update(self, const double[:, :] fault, const double[:, :, :] residual, Py_ssize_t row,
-                     bint complete) noexcept:
+                     bint complete, double beyond) noexcept:
         cdef Py_ssize_t k, i, j, K = self.J.shape[0], p = self.residual.shape[1]
         cdef double keep = self.keep, white
         cdef bint explained
@@ -207,7 +207,7 @@ cdef class Choice:
         if explained:
             for i in range(self.spans[self.believed], self.spans[self.believed + 1]):
                 self.evidence[self.channel[i]] = self.fault[i]
-        self.give_back(explained)
+        self.give_back(explained, beyond)
         self.watch_edges(fault, row, complete)
 
     cdef void choose(self) noexcept:
@@ -284,15 +284,15 @@ cdef class Choice:
                 return True
         return False
 
-    cdef void give_back(self, bint explained) noexcept:
+    cdef void give_back(self, bint explained, double beyond) noexcept:
         """Give washed-out faults back, whichever hypothesis is believed; show those of the one that is."""
         cdef Py_ssize_t i, j, channel
         cdef double size
         cdef Washout washout
         for i in range(self.remembered.shape[0]):
             channel, washout = self.washed[i], <Washout> self.washouts[i]
-            size = washout.update(self.fault[self.shown[channel]])
-            self.remembered[i] = fabs(size) > washout.threshold
+            size = washout.update(self.fault[self.shown[channel]], beyond)
+            self.remembered[i] = fabs(size) > beyond * washout.threshold
             if explained:
                 for j in range(self.spans[self.believed], self.spans[self.believed + 1]):
                     if self.channel[j] == channel:
@@ -476,12 +476,16 @@ cdef class Washout:
         result = np.empty(washed.shape[0])
         cdef double[::1] fault = result
         for k in range(washed.shape[0]):
-            fault[k] = self.update(washed[k])
+            fault[k] = self.update(washed[k], 1.0)
         return result
 
-    cdef double update(self, double washed) noexcept:
-        """Process one row's estimate f_w; return f = f_w + integral / tau."""
-        cdef bint moves = fabs(washed) > WASHOUT_QUIET * self.threshold, over
+    cdef double update(self, double washed, double beyond) noexcept:
+        """Process one row's estimate f_w; return f = f_w + integral / tau.
+
+        ``beyond`` is how many times larger its threshold is outside of the fitted flights: errors are, too.
+        """
+        cdef double threshold = beyond * self.threshold
+        cdef bint moves = fabs(washed) > WASHOUT_QUIET * threshold, over
         cdef double fault, size
         if moves:
             self.integral += self.share * (washed + self.before)
@@ -489,11 +493,11 @@ cdef class Washout:
         self.before = washed
         fault = washed + self.integral
         size = fabs(fault)
-        if moves and self.returns(fault):
+        if moves and self.returns(fault, threshold):
             return 0.0
-        if size > self.threshold and size > self.peak:
+        if size > threshold and size > self.peak:
             self.peak = size
-        over = size <= max(self.threshold, WASHOUT_OVER * self.peak)
+        over = size <= max(threshold, WASHOUT_OVER * self.peak)
         if not moves and not over and self.still >= self.longest:
             # Held, the integral is what it was; the row itself may be the first of the fault's end.
             self.gone = self.integral
@@ -505,14 +509,14 @@ cdef class Washout:
             return washed
         return 0.0 if over and self.peak > 0.0 else fault
 
-    cdef bint returns(self, double fault) noexcept:
+    cdef bint returns(self, double fault, double threshold) noexcept:
         """Return whether a fault is the end of one that was let go, or may be on its way to it."""
         cdef double left = fabs(fault + self.gone), size = fabs(self.gone)
         if fault * self.gone >= 0.0:
             return False
         if self.moving <= self.settle:
             return left < size
-        if left <= max(self.threshold, WASHOUT_RETURNED * size):
+        if left <= max(threshold, WASHOUT_RETURNED * size):
             # All is as before it: zero, until the washed-out estimate has settled.
             self.integral, self.peak, self.gone = self.integral - fault, size, 0.0
             return True

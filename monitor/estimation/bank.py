@@ -164,10 +164,13 @@ class Bank:
             follow=1.0 - keep_share(rule.level_s, rate_hz),
         )
 
-    def run(self, samples: Samples, armed: NDArray[np.bool_]) -> EstimatorRun:
+    def run(
+        self, samples: Samples, armed: NDArray[np.bool_], beyond: NDArray[np.float64] | None = None
+    ) -> EstimatorRun:
         """Process N samples; return the estimates under the hypothesis believed and the evidence after each.
 
-        ``armed`` says whether each is evidence (N,).
+        ``armed`` says whether each is evidence (N,), ``beyond`` how many times larger all sizes are outside of the
+        fitted flights (N,), None: once.
         """
         restart, measured = samples.restart, samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)
@@ -180,6 +183,7 @@ class Bank:
                 samples.complete,
                 restart,
                 armed,
+                np.ones(len(samples)) if beyond is None else beyond,
             )
         )
 

@@ -50,8 +50,13 @@ class JointEstimator:
         else:
             self._isolation = single_fault_isolation(rule, observer.rate_hz, np.array(hypothesis.scales))
 
-    def run(self, samples: Samples, armed: NDArray[np.bool_]) -> EstimatorRun:
-        """Process N samples, of which some are evidence (N,); return the estimates and the evidence after each."""
+    def run(
+        self, samples: Samples, armed: NDArray[np.bool_], beyond: NDArray[np.float64] | None = None
+    ) -> EstimatorRun:
+        """Process N samples; return the estimates and the evidence after each.
+
+        Which are evidence (``armed``) and how far they lie outside of the fitted flights changes nothing here.
+        """
         restart, measured = samples.restart, samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)
         evidence = self._isolation.run(run.fault, measured, restart)
