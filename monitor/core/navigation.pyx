@@ -65,9 +65,9 @@ cdef double[2] _LEAST = [0.01, 0.25]
 # six times those of which flights were recorded; with it no autopilot keeps the vehicle in the air.
 cdef double[2] _MOST = [1.0, 4.0]
 # A heading this far off, rad, is that of another start: the autopilot has set its attitude anew, to a right one or to a
-# wrong one. It counts again when the way that the vehicle goes agrees with it, within two deviations of its noise.
+# wrong one. It counts again when the way that the vehicle goes agrees with it, within twice its noise.
 cdef double _TURNED = 0.5
-# Sine of the pitch from which on a heading tells nothing: at 60 degrees errors of the attitude are twice as large in it.
+# wrong one. It counts again when the way that the vehicle goes agrees with it, within twice its noise.
 cdef double _STEEP = 0.87
 # Variance of a measurement that is none.
 cdef double _UNKNOWN = 1e12
