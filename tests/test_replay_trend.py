@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fauio
+from adapters.logs.recordings import Recording
 from monitor.alarms.alarm import CURRENT, LOG_TIMES, RESISTANCE, SPEED
+from monitor.fitting.kept_flights import extent_of, write_kept
 from monitor.profile import FaultChannel, read_profile
+from replay.player import interests
 from replay.reports.levels import WearLevel, WornChannel, wear_sign, worn_channels
 from replay.runs.one_log import LogOutcome, LogTask, replay_log
 from replay.runs.summary_table import SummaryTable
@@ -140,13 +145,34 @@ def test_a_line_follows_shift_and_scale_of_its_values(values: list[float], scale
 
 
 @pytest.fixture(scope="module")
-def outcome(data: Path, tmp_path_factory: pytest.TempPathFactory) -> LogOutcome:
-    """Return the replay of a flight all through which motor 2 lacks 3 % of its thrust."""
+def worn(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the log of a flight all through which motor 2 lacks 3 % of its thrust."""
     log = tmp_path_factory.mktemp("worn") / "worn.mcap"
     healthy = str(data / "copter_healthy_square.tlog.xz")
     loss = ["--channel", "motor2", "--kind", "loss", "--size", "0.03", "--start", "0", "--profile", str(QUAD)]
     assert fauio.main(["inject", healthy, *loss, "-o", str(log)]) == 0
-    return replay_log(read_profile(QUAD), LogTask("flight", log))
+    return log
+
+
+@pytest.fixture(scope="module")
+def outcome(worn: Path) -> LogOutcome:
+    return replay_log(read_profile(QUAD), LogTask("flight", worn))
+
+
+def test_flights_that_a_profile_keeps_are_its_history(
+    worn: Path, outcome: LogOutcome, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path(shutil.copytree(QUAD, tmp_path / "quad"))
+    names = interests(read_profile(QUAD))
+    log = Recording(worn, names)
+    written = tomllib.loads((folder / "profile.toml").read_text())
+    write_kept(folder, written, None, (), [("monday.tlog", extent_of(log.batches), log.batches)], names)
+    assert fauio.main(["trend", "--profile", str(folder), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    [trend] = [one for one in said["trends"] if (one["observer"], one["channel"]) == ("motors", "motor2")]
+    expected = next(level.value for level in outcome.levels if level.of == MOTORS[1])
+    assert said["flights"] == 1
+    assert trend["points"][0]["value"] == pytest.approx(expected, rel=1e-4)
 
 
 def test_a_flight_tells_which_share_of_its_thrust_a_motor_lacks(outcome: LogOutcome) -> None:
@@ -213,6 +239,7 @@ def test_the_command_says_draws_and_prints_json(tmp_path: Path, capsys: pytest.C
     ("words", "line"),
     [
         (["none.csv"], "none.csv: No such file"),
+        ([], "no flights: give tables, or --profile PROFILE"),
         (["."], ": logs are replayed by a profile; add --profile PROFILE"),
         (["old.csv"], "old.csv: has no rows with columns of wear; write it anew"),
         (["bad.csv"], "bad.csv: row 1: 'motors/motor1 sd' is no number: 'x'; mend the table"),

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from replay.runs.live_replay import LiveReplay
 
 
-_FEW_ROWS = 200_000
+FEW_ROWS = 200_000
 """Estimates of each observer that are kept for the sizes of alarms. Chosen: 33 min at 100 Hz whole, in 100 MB; medians
 of longer flights come from every second, every fourth and so on."""
 
@@ -153,7 +153,7 @@ def _replay(
         vehicle=vehicle,
         record=task.record,
         keep_traces=True,
-        trace_rows=MAX_ROWS if task.plot or task.rrd or task.report else _FEW_ROWS,
+        trace_rows=MAX_ROWS if task.plot or task.rrd or task.report else FEW_ROWS,
         on_event=on_event,
         force=task.force,
     )

@@ -26,12 +26,17 @@ def add_trend(subparsers: Any) -> None:
     )
     parser.add_argument(
         "flights",
-        nargs="+",
+        nargs="*",
         type=Path,
         metavar="FOLDER|TABLE",
         help="tables that fauio replay --table wrote (.csv, .parquet), or logs and folders of them, with --profile",
     )
-    parser.add_argument("--profile", type=Path, metavar="PROFILE", help="profile folder by which logs are replayed")
+    parser.add_argument(
+        "--profile",
+        type=Path,
+        metavar="PROFILE",
+        help="profile folder by which logs are replayed; the flights that it was fitted to count, too",
+    )
     parser.add_argument(
         "--since", metavar="UTC", help="leave out flights before, as 2026-11-23 or 2026-11-23T08:00: after a service"
     )
@@ -50,6 +55,8 @@ def run_trend(args: argparse.Namespace) -> int:
 
     tables = [path for path in args.flights if path.suffix.lower() in SUFFIXES]
     logs = [path for path in args.flights if path not in tables]
+    if not args.flights and args.profile is None:
+        raise UsageError("no flights: give tables, or --profile PROFILE, with logs or for its own flights alone")
     if logs and args.profile is None:
         raise UsageError(f"{logs[0]}: logs are replayed by a profile; add --profile PROFILE, or give a table")
     _check_since(args.since)
@@ -59,11 +66,12 @@ def run_trend(args: argparse.Namespace) -> int:
         check_suffix(args.plot, ".png")
         check_output(args.plot)
     flights = [flight for path in tables for flight in read_table(path)]
+    flights += _kept(args.profile) if args.profile is not None else []
     flights += _replayed(args.profile, logs) if logs else []
     flights = [flight for flight in flights if not args.since or flight.start_utc >= args.since]
     if not flights:
         since = f" since {args.since}" if args.since else ""
-        raise TelemetryError(f"{args.flights[0]}: no flight that was watched{since}")
+        raise TelemetryError(f"{(*args.flights, args.profile)[0]}: no flight that was watched{since}")
     wear = find_wear(flights)
     if args.plot is not None:
         from replay.wear.trend_plot import plot_trends
@@ -87,6 +95,28 @@ def _check_since(since: str | None) -> None:
         datetime.fromisoformat(since or "2000-01-01")
     except ValueError:
         raise UsageError(f"--since {since}: is no date; write it as 2026-11-23 or 2026-11-23T08:00") from None
+
+
+def _kept(folder: Path) -> Iterator[LoggedFlight]:
+    """Yield what the flights say of wear that a profile was fitted to, as far as it keeps them."""
+    from monitor.bus.alarm_text import utc
+    from monitor.fitting.kept_flights import FOLDER, read_kept
+    from monitor.fitting.progress import track
+    from monitor.profile import read_profile
+    from replay.player import play_batches
+    from replay.reports.levels import flight_levels
+    from replay.runs.one_log import FEW_ROWS
+    from replay.wear.trend import LoggedFlight
+
+    profile = read_profile(folder)
+    kept = read_kept(folder).flights if (folder / FOLDER).is_dir() else ()
+    for flight in track(kept, "replaying", "fitted flights", total=len(kept)):
+        found = play_batches(profile, flight.batches(folder), keep_traces=True, trace_rows=FEW_ROWS)
+        if not found.evidence:
+            continue
+        duration_s = (flight.span.last_ns - flight.span.first_ns) / 1e9
+        levels = tuple(flight_levels(profile, found.events, found.traces))
+        yield LoggedFlight(flight.name, utc(flight.span.first_ns), duration_s, found.watched_s, levels)
 
 
 def _replayed(folder: Path, arguments: Sequence[Path]) -> Iterator[LoggedFlight]:
