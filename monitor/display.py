@@ -17,7 +17,7 @@ _UNITS: Mapping[str, tuple[float, str]] = {
     "share": (100.0, "%"),
 }
 """What people say for a unit, and what its numbers are multiplied by for that."""
-_FRACTION = "fraction of "
+_FRACTION, _LOGARITHM = "fraction of ", "natural logarithm of times"
 _SHARES: Mapping[str, str] = {
     "fraction of full command": "% of thrust",
     "fraction of full deflection": "% of effect",
@@ -59,6 +59,14 @@ def size_text(size: float, unit: str, usual_command: float | None = None, *, sig
     return f"{number_text(factor * size, 2 if '%' in name else 3, signed=signed)} {name}".rstrip()
 
 
+def doubt_text(deviation: float, unit: str, share: float | None) -> str:
+    """Return by how much a size may be off, as people say it; ``share`` takes it to a share of the command."""
+    if share is not None or unit == _LOGARITHM:
+        # a logarithm's deviation is nearly that share of the number
+        return f"{percent_text(abs(deviation * (share or 1.0)))} %"
+    return size_text(deviation, unit)
+
+
 def fault_text(channel: str, estimate: float | None, relative: float | None, unit: str) -> str:
     """Return the size of a fault, as the share of the command where that is known; empty where there is none."""
     if not isinstance(unit, str):  # from a network, not yet checked
@@ -68,7 +76,7 @@ def fault_text(channel: str, estimate: float | None, relative: float | None, uni
     if not _is_size(estimate):
         return ""
     size = float(estimate or 0.0)
-    if unit == "natural logarithm of times":
+    if unit == _LOGARITHM:
         return f"{number_text(math.exp(min(size, 50.0)), 2)} times"
     # a compass' estimate counts turns on; nothing is further off than half of one
     return size_text(math.remainder(size, math.tau) if channel == "compass" else size, unit, signed=True)

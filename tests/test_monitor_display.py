@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loopback import event
 
-from monitor.display import display_unit, fault_text, number_text, size_text
+from monitor.display import display_unit, doubt_text, fault_text, number_text, size_text
 
 
 @pytest.mark.parametrize(
@@ -77,3 +77,16 @@ def test_no_number_of_one_and_more_has_an_exponent(value: float) -> None:
 )
 def test_units_of_rates_are_those_of_what_grows(unit: str, factor: float, said: str) -> None:
     assert display_unit(unit) == (factor, said)
+
+
+@pytest.mark.parametrize(
+    ("unit", "share", "said"),
+    [
+        ("fraction of full command", 2.0, "4 %"),
+        ("fraction of full command", None, "2 % of full thrust"),
+        ("rad", None, "1.15 degrees"),
+        ("natural logarithm of times", None, "2 %"),
+    ],
+)
+def test_a_doubt_is_in_the_words_of_its_size(unit: str, share: float | None, said: str) -> None:
+    assert doubt_text(0.02, unit, share) == said

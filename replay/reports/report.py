@@ -12,7 +12,7 @@ from pathlib import Path
 from adapters.logs.damage import Damage
 from adapters.output_file import write_file
 from monitor.bus.alarm_text import utc
-from monitor.display import fault_text, size_text
+from monitor.display import doubt_text, fault_text
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 from monitor.profile import Profile
@@ -166,10 +166,8 @@ def _size_of(one: Finding) -> str | None:
         return one.largest.display or None
     said = fault_text(one.alarm.channel, one.size, one.relative, one.largest.unit)
     if one.deviation and one.size:
-        # of the command it is known as well as of full command
-        scale = 1.0 if one.relative is None else one.relative / one.size
-        unit = one.largest.unit if one.relative is None else "share"
-        said += f" ± {size_text(abs(2.0 * one.deviation * scale), unit)} (two standard deviations)"
+        share = None if one.relative is None else one.relative / one.size
+        said += f" ± {doubt_text(2.0 * one.deviation, one.largest.unit, share)} (two standard deviations)"
     return f"{said}{', at the end of its growth' if one.grew else ''}"
 
 

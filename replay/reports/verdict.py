@@ -7,7 +7,7 @@ from pathlib import Path
 
 from adapters.errors import FauioError
 from monitor.bus.alarm_text import utc
-from monitor.display import display_unit, fault_text, number_text
+from monitor.display import doubt_text, fault_text
 from replay.reports.findings import Finding
 from replay.review.facts.log_facts import UNKNOWN_LEVEL, LogFacts, Statement
 from replay.review.facts.reading import read_facts
@@ -48,8 +48,7 @@ def alarm_summary(one: Finding) -> str:
     peak = max((event.peak for event in alarm.history if event.peak is not None), key=abs, default=None)
     doubt = []
     if one.size is not None and one.deviation is not None:
-        factor, name = display_unit(event.unit) if share is None else (100.0 * share, "%")
-        doubt.append(f"± {number_text(abs(factor) * one.deviation, 2)} {name}".rstrip())
+        doubt.append(f"± {doubt_text(one.deviation, event.unit, share)}")
     if peak is not None:
         doubt.append(f"peak {fault_text(alarm.channel, peak, None if share is None else peak * share, event.unit)}")
     channel = f"{alarm.observer}/{alarm.channel}"

@@ -4,12 +4,13 @@
 export function figure(value, digits = 3) {
   if (value === null || !Number.isFinite(value)) return "–";
   const size = Math.abs(value);
-  if (size !== 0 && (size >= 1e6 || size < 1e-4)) return value.toExponential(1);
+  if (size < 1e-9) return "0"; // what rounding leaves
+  if (size >= 1e6 || size < 1e-4) return value.toExponential(1);
   return String(Number(value.toPrecision(digits)));
 }
 
 export function signed(value) {
-  return value > 0 ? `+${figure(value)}` : figure(value).replace("-", "−");
+  return value >= 1e-9 ? `+${figure(value)}` : figure(value).replace("-", "−");
 }
 
 /** Return a time that has passed, as `fauio alarms` says it. */
