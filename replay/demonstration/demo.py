@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from adapters.errors import FauioError, UsageError
 from adapters.logs.mcap_reader import read_mcap_messages
+from adapters.logs.recordings import Recording
 from adapters.output_file import write_file
 from adapters.simulation.arm import SCENARIOS
 from adapters.zenoh.zenoh_session import open_session
@@ -36,6 +37,7 @@ from monitor.service.caught_signals import caught_signals
 from monitor.trace import Trace
 from monitor.views.panels import RunView
 from monitor.views.rerun_view import write_rrd
+from monitor.views.way import WAY_MESSAGES, way_of
 from replay.demonstration.arm_profile import write_arm_profile
 from replay.player import Replay, play
 from replay.reports.plot import plot_png
@@ -95,7 +97,8 @@ def demo(vehicle: str, out: Path, speed: float | None, console: bool = False) ->
         events = _run_live(scene, record, pace, _monitor_config(out) if console else None)
         replayed = play(read_profile(scene.profile), read_mcap_messages(record), keep_traces=True)
         curves = {truth.channel: _true_course(truth, replayed.traces[0]) for truth in scene.truth}
-        shown = RunView(replayed.traces, replayed.events, replayed.thresholds, curves)
+        way = way_of(Recording(record, WAY_MESSAGES).batches())
+        shown = RunView(replayed.traces, replayed.events, replayed.thresholds, curves, way=way)
         plot_png(out / f"{vehicle}.png", shown, scene.title)
         write_rrd(out / f"{vehicle}.rrd", shown)
     return _report(scene, events, replayed, out, vehicle)
