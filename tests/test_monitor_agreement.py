@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,7 @@ def test_a_flight_that_is_too_short_says_nothing() -> None:
     assert flight_effects("a", regressors, np.ones((300, 1)), np.ones(1), RATE_HZ) == "a"
 
 
+@functools.cache
 def quad(weak: float, seed: int, offset: float = 0.0) -> list[Segment]:
     """Return a flight of a quad in plus whose motor 3 has a share of its effect, under a controller that levels it."""
     random = np.random.default_rng(seed)

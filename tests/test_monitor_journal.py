@@ -251,14 +251,14 @@ def test_readers_in_other_threads_see_whole_events_in_order_and_stop_no_writer(p
         readers = [threading.Thread(target=read, args=(journal,)) for _ in range(3)]
         for reader in readers:
             reader.start()
-        for seq in range(1, 201):
+        for seq in range(1, 101):
             journal.write(event(seq))
         stop.set()
         for reader in readers:
             reader.join()
         counts = journal.statistics()
     assert failures == []
-    assert (counts.written, counts.pending, counts.last_error) == (200, 0, None)
+    assert (counts.written, counts.pending, counts.last_error) == (100, 0, None)
 
 
 def test_beyond_the_bound_the_oldest_go_but_an_alarm_that_stands_stays_with_its_frame(path: Path) -> None:

@@ -112,7 +112,7 @@ def test_the_command_reads_what_is_there(
 
 def test_without_a_profile_logs_are_reviewed(data: Path, tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
-    shutil.copy(data / "copter_healthy_square.tlog.xz", tmp_path / "logs")
+    shutil.copy(data / "copter_wind_step.tlog.xz", tmp_path / "logs")
     [log] = watched(None, tmp_path).look()
     assert log.error == ""
     assert log.alarms == 0
