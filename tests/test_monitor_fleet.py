@@ -43,7 +43,7 @@ def heartbeat(system: int, component: int = 1, at_s: float = 0.0, **fields: int)
 
 
 def channel(profile: Profile, system: int, at_s: float = 0.0) -> Arrival:
-    name = min(min(names) for names in Pipeline(profile).needs.values())
+    name = min(channel.message for observer in profile.observers for channel in observer.source.channels)
     return arrival(Message(MAVLINK, name, T0 + round(at_s * 1e9), {"a": at_s}, system, 1))
 
 

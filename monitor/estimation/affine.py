@@ -13,6 +13,7 @@ zeros cost nothing.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -87,6 +88,8 @@ _PRIOR_S = 1.0
 a longer time shows estimates after a restart as more uncertain, and for longer."""
 
 
+# As of :func:`stack_layout`, of which each bank has several.
+@functools.lru_cache(maxsize=64)
 def error_system(gains: Gains, plant: Plant) -> ErrorSystem:
     """Return the error system of one observer on a sampled plant, which may have more faults than the observer.
 
@@ -164,8 +167,8 @@ class AffineObserver:
     """
 
     def __init__(self, gains: Sequence[Gains]) -> None:
-        first, layout = gains[0], stack_layout(gains)
         self.gains = tuple(gains)
+        first, layout = gains[0], stack_layout(self.gains)
         self.rate_hz = first.rate_hz
         self.hypotheses = tuple(
             FaultSet(single.faults, tuple(source is not None for source in single.fault_inputs)) for single in gains

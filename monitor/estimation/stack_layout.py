@@ -7,6 +7,7 @@ once, as past v; the others are the cores c.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -38,8 +39,10 @@ class StackLayout:
     initial: NDArray[np.float64]  # c = initial [v; past v; y; 1] at a restart
 
 
-def stack_layout(gains: Sequence[Gains]) -> StackLayout:
-    """Return the matrices of observers with the same inputs, outputs and states."""
+# Vehicles of one profile share them, as do the replays of a measurement of what a profile detects.
+@functools.lru_cache(maxsize=16)
+def stack_layout(gains: tuple[Gains, ...]) -> StackLayout:
+    """Return the matrices of observers with the same inputs, outputs and states; nobody may change them."""
     first, K = gains[0], len(gains)
     s, p, n = len(first.inputs), len(first.outputs), len(first.states)
     passed_on = [_passed_on(observer) for observer in gains]
