@@ -216,6 +216,7 @@ class ObserverChain:
             faults=names,
             fault_units=tuple(channel.unit for channel in profile.faults),
             usual_commands=profile.usual_commands,
+            smoothing_s=profile.isolation.smoothing_s,
         )
         observer = AffineObserver(profile.gains)
         rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s or observer.settling_s()))

@@ -25,6 +25,7 @@ class Layout:
     fault_units: tuple[str, ...]  # unit of each fault estimate
     # of each fault of an actuator the command that it usually gets, None where that is not known; empty where none is
     usual_commands: tuple[float | None, ...] = ()
+    smoothing_s: float = 0.0  # time constant of estimates, and of the commands that they are shares of
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,16 +47,15 @@ def test_a_fault_s_chart_has_its_estimate_threshold_truth_and_alarms() -> None:
 
 def test_a_motor_s_chart_has_the_size_of_its_alarm() -> None:
     run = trace()
-    layout = replace(LAYOUT, usual_commands=(0.5, 0.5, None, None))
-    run = replace(run, layout=layout)
-    raised = event(1020, "raised", estimate=-0.02, relative=-0.05)
-    found = content(RunView([run], [raised], THRESHOLDS), run, "motor1")
-    assert found["unit"] == "% of thrust"
-    assert found["threshold"] == pytest.approx(1.5 * 2.5)
-    assert np.nanmin(series(found, "estimate")) == pytest.approx(250.0 * run.isolated[:, 0].min(), rel=1e-3)
-    quiet = content(RunView([run], [raised], THRESHOLDS), run, "motor2")
-    assert (quiet["unit"], quiet["threshold"]) == ("% of thrust", pytest.approx(3.0))
-    assert content(RunView([run], [], THRESHOLDS), run, "motor3")["unit"] == "% of full thrust"
+    layout = replace(LAYOUT, inputs=LAYOUT.faults, usual_commands=(0.5, 0.5, 0.5, None))
+    run = replace(run, layout=layout, u=np.where(np.arange(len(run.u)) < 700, 0.4, 0.8)[:, None] * np.ones(4))
+    truth = {"motor1": (run.vehicle_ns / 1e9, -0.05 * run.u[:, 0])}
+    found = content(RunView([run], EVENTS, THRESHOLDS, truth), run, "motor1")
+    assert (found["unit"], found["threshold"]) == ("% of thrust", pytest.approx(3.0))
+    np.testing.assert_allclose(series(found, "truth")[np.array(found["x"]) != 7.0], -5.0)
+    after = np.array(found["x"]) > 12.0
+    assert np.nanmedian(series(found, "estimate")[after]) == pytest.approx(-6.0 / 0.8, abs=0.5)
+    assert content(RunView([run], [], THRESHOLDS), run, "motor 4")["unit"] == "% of full thrust"
 
 
 def test_lines_break_where_the_observer_restarted() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from monitor.core.observers import effects
 
-_SMALLEST_COMMAND = 0.02
+LEAST_COMMAND = 0.02
 """Smallest command, of full command 1, that a loss is stated as a share of. Chosen: the share of an estimate's
 error grows without bound as the command goes to zero."""
 _LARGEST_SHARE = 1.3
@@ -31,6 +31,6 @@ def relative_loss(fault: float, command: float) -> float | None:
     None where no share can be told: near zero command, and where it would be more than there is. Nothing lacks more
     than the whole of its command: what an estimate has beyond is its own error.
     """
-    if abs(command) < _SMALLEST_COMMAND or abs(fault / command) > _LARGEST_SHARE:
+    if abs(command) < LEAST_COMMAND or abs(fault / command) > _LARGEST_SHARE:
         return None
     return max(fault / command, -1.0)

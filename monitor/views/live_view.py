@@ -141,8 +141,7 @@ def _scene(recording: rr.RecordingStream, view: VehicleView) -> tuple[RerunScene
 
 def _send(scene: RerunScene, panels: dict[str, Panels], view: VehicleView) -> None:
     batch = view.drain()
-    # without events: the scale of a view that is open does not change with an alarm
-    run = in_display_units(RunView(batch.traces, (), view.thresholds))
+    run = in_display_units(RunView(batch.traces, batch.events, view.thresholds))
     for trace in run.traces:
         scene.trace(trace, panels[trace.layout.observer], run.thresholds, shown_only=True)
     scene.events(batch.events)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from monitor.display import display_unit
 from monitor.estimate import Layout
+from monitor.estimation.input_curve import LEAST_COMMAND
+from monitor.estimation.isolation_rule import keep_share
 from monitor.event import AlarmEvent
 from monitor.trace import Trace
 from monitor.views.way import Way
@@ -35,34 +37,38 @@ class RunView(NamedTuple):
 def in_display_units(run: RunView) -> RunView:
     """Return a run with the sizes of its faults as people say them: per cent, degrees.
 
-    What is lost of a command is a share of that of the channel's largest alarm, so that both say the same size, else of
-    the usual one.
+    What a motor lost is at each sample a share of the command that it had then, as in the sentence of its alarm, its
+    threshold one of the usual command.
     """
-    of_alarms = {
-        (event.observer, event.channel): event.estimate / event.relative
-        for event in sorted(run.events, key=lambda event: abs(event.estimate or 0.0))
-        if event.estimate and event.relative
-    }
-    factors: dict[tuple[str, str], float] = {}
-    traces = []
+    thresholds, truth, traces = dict(run.thresholds), dict(run.truth), []
     for trace in run.traces:
         layout = trace.layout
         usual = layout.usual_commands or (None,) * len(layout.faults)
-        said = [
-            display_unit(unit, command and of_alarms.get((layout.observer, name), command))
-            for name, unit, command in zip(layout.faults, layout.fault_units, usual, strict=True)
-        ]
-        factors |= {(layout.observer, name): factor for name, (factor, _) in zip(layout.faults, said, strict=True)}
-        scale = np.array([factor for factor, _ in said])
-        layout = replace(layout, fault_units=tuple(name for _, name in said))
-        sizes = {name: getattr(trace, name) * scale for name in ("fault", "isolated", "sd")}
-        traces.append(replace(trace, layout=layout, **sizes))
-    of_channel = {channel: factor for (_, channel), factor in factors.items()}
-    return run._replace(
-        traces=traces,
-        thresholds={key: factors.get(key, 1.0) * size for key, size in run.thresholds.items()},
-        truth={name: (times, of_channel.get(name, 1.0) * sizes) for name, (times, sizes) in run.truth.items()},
-    )
+        units, scale = [], np.empty((len(trace.vehicle_ns), len(layout.faults)))
+        for at, (name, unit, command) in enumerate(zip(layout.faults, layout.fault_units, usual, strict=True)):
+            factor, said = display_unit(unit, command)
+            units.append(said)
+            scale[:, at] = factor
+            if command is not None and name in layout.inputs and len(scale):
+                scale[:, at] = 100.0 / np.maximum(_smoothed(trace, layout.inputs.index(name)), LEAST_COMMAND)
+            if (key := (layout.observer, name)) in thresholds:
+                thresholds[key] *= factor
+            if name in truth and truth[name] is run.truth[name] and len(scale):
+                times, sizes = truth[name]
+                truth[name] = times, sizes * np.interp(times, trace.vehicle_ns / 1e9, scale[:, at])
+        sizes_said = {name: getattr(trace, name) * scale for name in ("fault", "isolated", "sd")}
+        traces.append(replace(trace, layout=replace(layout, fault_units=tuple(units)), **sizes_said))
+    return run._replace(traces=traces, thresholds=thresholds, truth=truth)
+
+
+def _smoothed(trace: Trace, place: int) -> NDArray[np.float64]:
+    """Return an input smoothed as the estimates are (N,)."""
+    from scipy.signal import lfilter
+
+    u, times_s = trace.u[:, place], trace.vehicle_ns / 1e9
+    rate_hz = 1.0 / float(np.median(np.diff(times_s))) if len(u) > 1 else trace.layout.rate_hz
+    keep = keep_share(trace.layout.smoothing_s, rate_hz)
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], u, zi=[keep * u[0]])[0])
 
 
 FEW = 6
