@@ -1,11 +1,15 @@
 """Banks: the hypothesis that explains the data names the fault, and gives way when the fault has gone."""
 
+from dataclasses import replace
+from itertools import combinations, pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.sample import Samples
+from gains.identification.segment import Segment
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
 from gains.synthesis.bank import compile_bank, design_bank
 from gains.synthesis.gains_file import Gains
@@ -13,6 +17,8 @@ from monitor.core.bank import Choice, Washout
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import Bank, EstimatorRun, washout_inverse, whitening
 from monitor.estimation.isolation_rule import BankRule
+from monitor.fitting.calibrate import bank_rule
+from monitor.vehicles.multirotor.identify import MultirotorFit, multirotor_plant
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-0.7, 0.7))
 NAMES = ("left", "right", "both")
@@ -38,6 +44,52 @@ def plant() -> Plant:
         disturbances=tuple(Disturbance(f"w{i}", identity[:, i], 0.01) for i in range(2)),
         noises=tuple(Noise(f"n{i}", identity[:, i], 0.01) for i in range(2)),
     )
+
+
+MOTORS = ("motor1", "motor2", "motor3", "motor4")
+HOVER = 0.5
+
+
+class Motors:
+    """The bank of a quadrotor's motors, with all pairs of them, and flights with losses of some."""
+
+    def __init__(self, rate_hz: float, axes: int) -> None:
+        B = np.array([[-0.8, 0.8, 0.8, -0.8], [0.8, -0.8, 0.8, -0.8], [0.05, 0.05, -0.05, -0.05], [-4.0] * 4])[:axes]
+        noise = np.array([2e-3, 2e-3, 1e-3, 0.1])[:axes]
+        fit = MultirotorFit(
+            rate_hz, np.full(3, 0.9), B, -B @ np.full(4, HOVER), np.ones(1), 0.0, residual_std=noise, samples=10_000
+        )
+        whole = multirotor_plant(fit, "quad", MOTORS, gyros=False)
+        self.rate_hz, self.B, self.noise = rate_hz, B, noise
+        self.gains = compile_bank(whole, design_bank(whole, rate_hz, together=tuple(combinations(MOTORS, 2))))
+        u, y = self.flown([], 2000)
+        self.rule = bank_rule(self.gains, [Segment(u, y)], smoothing_s=5.0 / rate_hz)
+
+    def flown(self, losses: list[tuple[int, float, int, int]], rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return commands and outputs of a flight with losses of motors, shares of their commands, in some rows."""
+        rng = np.random.default_rng(3)
+        share = np.zeros((rows, 4))
+        for motor, lost, start, end in losses:
+            share[start:end, motor] = lost
+        u = HOVER + 0.02 * rng.normal(size=(rows, 4))
+        y, x = np.empty((rows, len(self.B))), np.zeros(len(self.B))
+        keep = np.array([0.9, 0.9, 0.9, 0.0])[: len(self.B)]
+        for k in range(rows):
+            y[k] = x + 0.3 * self.noise * rng.normal(size=len(x))
+            x = keep * x + self.B @ (u[k] * (1.0 - share[k]) - HOVER) + 0.3 * self.noise * rng.normal(size=len(x))
+        return u, y
+
+    def evidence(self, losses: list[tuple[int, float, int, int]], rows: int) -> np.ndarray:
+        """Return the share of its command that each motor is said to have lost (rows, 4)."""
+        u, y = self.flown(losses, rows)
+        bank = Bank(AffineObserver(self.gains), self.rule, MOTORS, {})
+        run = bank.run(replace(samples_of(y, restart=True), u=u), np.ones(rows, np.bool_))
+        return -run.evidence / HOVER
+
+
+@pytest.fixture(scope="module", params=[(100.0, 4), (5.0, 3)], ids=["100_hz", "commands_at_10_hz"])
+def motors(request: pytest.FixtureRequest) -> Motors:
+    return Motors(*request.param)
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +131,22 @@ def test_the_right_fault_is_named_with_its_size_and_let_go(
     assert not np.delete(during.evidence[-1], which).any()
     after, _ = run(bank, x, np.zeros(2), seed)
     assert np.abs(after.evidence[-1]).max() < 0.05
+
+
+@pytest.mark.parametrize(("first", "second"), tuple(combinations(range(4), 2)))
+def test_of_any_two_motors_each_loss_has_its_size_and_ends_with_its_cause(
+    motors: Motors, first: int, second: int
+) -> None:
+    settles = 60
+    together = [(first, 0.1, 200, 500), (second, 0.1, 200, 500)]
+    one_after_the_other = [(first, 0.15, 700, 1300), (second, 0.1, 900, 1100), (second, 0.2, 1100, 1500)]
+    said = motors.evidence(together + one_after_the_other, 1700)
+    changes = [0, 200, 500, 700, 900, 1100, 1300, 1500, 1700]
+    sizes = [(0.0, 0.0), (0.1, 0.1), (0.0, 0.0), (0.15, 0.0), (0.15, 0.1), (0.15, 0.2), (0.0, 0.2), (0.0, 0.0)]
+    for (start, end), size in zip(pairwise(changes), sizes, strict=True):
+        expected = np.zeros(4)
+        expected[[first, second]] = size
+        assert np.abs(said[start + settles : end] - expected).max() < 0.03
 
 
 def test_what_no_hypothesis_explains_names_no_fault(gains: tuple[Gains, ...]) -> None:
@@ -161,12 +229,22 @@ class Choices:
         ([[4.0, 1.0, 0.1]], 1),  # fewest faults, then the smallest J
         ([[1.0, 100.0, 1.0], [4.0, 3.0, 1.0]], 0),  # not clearly better: the one believed stays
         ([[1.0, 100.0, 1.0], [4.0, 1.0, 1.0]], 1),  # clearly better
-        ([[1000.0, 30.0, 1.0]], 1),  # what model error makes of a fault that large
+        ([[1000.0, 30.0, 6.0]], 1),  # what model error makes of a fault that large
+        ([[1000.0, 30.0, 1.0]], 2),  # two faults that explain far better than model error lets one of them
         ([[50.0, 40.0, 45.0]], 1),  # none explains: the least wrong is shown
     ],
 )
 def test_the_hypothesis_believed(J: list[list[float]], believed: int) -> None:
     assert Choices().run(J).x[-1, 0] == believed
+
+
+def test_a_second_loss_that_is_small_beside_the_first_may_be_model_error() -> None:
+    assert Choices().run([[1000.0, 30.0, 1.0]], (-1.0, -2.0, -0.4, -2.0)).x[-1, 0] == 1.0
+    assert Choices().run([[1000.0, 30.0, 1.0]], (-1.0, -2.0, -0.6, -2.0)).x[-1, 0] == 2.0
+
+
+def test_two_actuators_that_would_deliver_more_are_never_believed() -> None:
+    assert Choices().run([[100.0, 100.0, 1.0]], (-1.0, -2.0, 3.0, -4.0)).unexplained[-1] > 0.0
 
 
 def test_an_actuator_that_would_deliver_more_is_believed_only_where_it_explains_far_more() -> None:

@@ -46,8 +46,16 @@ def admissible_hypotheses(plant: Plant, *, largest: bool = False) -> tuple[tuple
     return hypotheses
 
 
-def design_bank(plant: Plant, rate_hz: float | None = None, *, largest: bool = False) -> tuple[Hypothesis, ...]:
+def design_bank(
+    plant: Plant,
+    rate_hz: float | None = None,
+    *,
+    largest: bool = False,
+    together: Sequence[tuple[str, ...]] = (),
+) -> tuple[Hypothesis, ...]:
     """Return a certified observer for each of the :func:`admissible_hypotheses`, at a rate or that of a discrete model.
+
+    ``together`` are sets of faults that get an observer, too, where all of one can be estimated.
 
     Raises
     ------
@@ -56,7 +64,8 @@ def design_bank(plant: Plant, rate_hz: float | None = None, *, largest: bool = F
     """
     from gains.synthesis.convex import design_convex
 
-    plants = [(faults, restricted(plant, faults)) for faults in admissible_hypotheses(plant, largest=largest)]
+    sets = [faults for faults in together if problem_of(plant, faults) is None]
+    plants = [(faults, restricted(plant, faults)) for faults in (*admissible_hypotheses(plant, largest=largest), *sets)]
     return tuple(Hypothesis(faults, part, design_convex(part, rate_hz)) for faults, part in plants)
 
 

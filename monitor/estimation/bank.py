@@ -10,9 +10,11 @@ hypothesis explains the data as long as J_k <= max(score_floor^2, tolerance^2 ma
 or that of model error for a fault that large. Of those that do, the ones with fewest faults are preferred, and among
 them the smallest J. Actuators fail towards less: one that would have to deliver more than commanded is believed beside
 one of opposite effect that delivers less where the mean J is smaller by gain_penalty; while the mean speaks for it by
-less, neither is held responsible. The one believed so far stays until another is clearly better (half its J), so noise
-does not make names flicker. Where none explains the data no fault is named, and the score sqrt(min J) is reported as
-unexplained.
+less, neither is held responsible. Several that would have to deliver more are never believed: others that deliver less
+do the same. Two that deliver less are believed, although one by itself explains the data up to the level of health or
+of model error, where the mean J of the two is smaller by far and neither loss is small beside the other. The one
+believed so far stays until another is clearly better (half its J), so noise does not make names flicker. Where none
+explains the data no fault is named, and the score sqrt(min J) is reported as unexplained.
 
 Flights have more wind than those that were fitted, and are livelier. What the hypothesis believed leaves unexplained
 shows it, as its own fault is not in its residual: with lambda the mean of the smallest J over ``level_s`` relative to

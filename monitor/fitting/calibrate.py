@@ -69,7 +69,8 @@ def bank_rule(
     from counting for more than a tenth of it; ``washouts``, ``jump_s`` and ``level_s`` are the rule's.
 
     The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
-    unexplained in healthy flight, with a margin.
+    unexplained in healthy flight, with a margin. A hypothesis that contains another does not count in it: it explains
+    whatever that one does, and is believed only where that one does not.
     """
     observer, settled = AffineObserver(bank), round(settle_s * bank[0].rate_hz)
     keep = float(np.exp(-1.0 / (smoothing_s * bank[0].rate_hz)))
@@ -87,11 +88,13 @@ def bank_rule(
         for residual, W, edge in zip(residuals, whitening(covariances), watched, strict=True)
         if not edge
     ]
+    compared = [set(one.faults) for one, edge in zip(bank, watched, strict=True) if not edge]
+    smallest = [not any(other < faults for other in compared) for faults in compared]
     least_scores = np.min(scores, axis=0)
     return BankRule(
         smoothing_s=smoothing_s,
         tolerance=_TOLERANCE,
-        score_floor=MARGIN * float(least_scores.max()),
+        score_floor=MARGIN * float(np.min(np.array(scores)[smallest], axis=0).max()),
         usual_score=float(f"{np.sqrt(np.mean(least_scores**2)):.4g}"),
         level_s=level_s,
         gain_penalty=_GAIN_PENALTY,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from string import ascii_lowercase
 
 import numpy as np
@@ -142,6 +143,10 @@ _SMALLEST_LOSS = 0.015
 1.4 %, so that a smaller loss may be the model's own error."""
 _CRITICAL_LOSS = 0.25
 """A loss that is critical. Chosen: a quadrotor has little control left in gusts without a quarter of a motor."""
+_PAIRED = 4
+"""Number of motors of a vehicle any two of whose losses are told from all others. The effects of four motors on three
+body rates have one linear combination that is zero, with all signs alike: two losses are told from any other two, as
+losses. Of six motors the losses of two opposite ones turn the vehicle as little as those of any other two."""
 _SMALLEST_JUMP = 0.05
 """rad/s: an autopilot rides out a smaller jump of a gyro, and gusts make steps of that size."""
 _MOST_OF_JUMPS = 1.5
@@ -252,7 +257,8 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     plant = multirotor_plant(
         model, request.name, motors, doubt=identified.doubt, gyros=identified.gyros, unit=drive.unit
     )
-    gains = compile_bank(plant, design_bank(plant, model.rate_hz))
+    pairs = tuple(combinations(motors, 2)) if len(motors) == _PAIRED else ()
+    gains = compile_bank(plant, design_bank(plant, model.rate_hz, together=pairs))
     rule = bank_rule(gains, segments, edges=GYROS, level_s=LEVEL_SHARE * identified.times.slow_s)
     bare = Fitted(drive.observer, plant, gains, identified.source, rule, supply=drive.supply)
     channels = bare.profile().faults
