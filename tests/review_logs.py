@@ -143,7 +143,13 @@ def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
     return topics
 
 
-def ardupilot_log(path: Path, flight: Flight, errors: Sequence[tuple[float, int, int]] = (), output: str = "C") -> Path:
+def ardupilot_log(
+    path: Path,
+    flight: Flight,
+    errors: Sequence[tuple[float, int, int]] = (),
+    output: str = "C",
+    landed_at_begin: bool = True,
+) -> Path:
     """Write a flight as ArduPilot logs it; errors are times, subsystems and codes, ``output`` the name of outputs."""
     log = DataflashWriter()
     log.define("PARM", "QNf", "TimeUS,Name,Value")
@@ -162,7 +168,7 @@ def ardupilot_log(path: Path, flight: Flight, errors: Sequence[tuple[float, int,
     for number in range(1, 5):
         log.add("PARM", BEGIN_US, f"SERVO{number}_FUNCTION", 32.0 + number)
     log.add("MODE", BEGIN_US, 5, 5, 1)
-    was = (False, True)
+    was = (False, landed_at_begin)
     faults = sorted(errors)
     for tick in range(int(flight.end_s * 10)):
         at, stamp = tick / 10, BEGIN_US + tick * 100_000

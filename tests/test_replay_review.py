@@ -369,6 +369,16 @@ def test_logs_of_ardupilot_are_judged_alike(name: str, tmp_path: Path) -> None:
     assert review.first.rule.name == name
 
 
+def test_a_log_of_ardupilot_that_begins_in_the_air_shows_a_flight(tmp_path: Path) -> None:
+    flight = Flight(
+        landed=lambda at: at >= LANDING_S,
+        armed=lambda at: at < DISARM_S,
+        motors=lambda at: [HOVER * (at < LANDING_S)] * 4,
+    )
+    review = rules_on(ardupilot_log(tmp_path / "flight.bin", flight, landed_at_begin=False))
+    assert review.facts.flight[0] == (0.0, pytest.approx(LANDING_S))
+
+
 @pytest.mark.parametrize("output", ["Ch", "Chan"])
 def test_outputs_of_old_versions_are_motors_too(output: str, tmp_path: Path) -> None:
     flight = replace(CASES["motor_at_limit"], rpm=None)

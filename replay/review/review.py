@@ -124,7 +124,7 @@ def judged(path: Path, facts: LogFacts, damage: Sequence[Damage] = ()) -> LogRev
             unjudged[rule.title] = reason
             continue
         try:
-            with np.errstate(invalid="ignore"):
+            with np.errstate(invalid="ignore", divide="ignore"):
                 judgements = list(rule.judge(facts))
         except UnjudgedError as error:
             unjudged[rule.title] = str(error)

@@ -66,6 +66,9 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
         arming = [(0.0, 1.0), *arming]
     armed = state_spans([(at, bool(value)) for at, value in arming], end_s)
     landing = [(at, float(kind == _LANDED)) for at, kind in event if kind in (_LANDED, _IN_THE_AIR)]
+    if landing and landing[0][1]:
+        # a log that begins in the air
+        landing = [(0.0, 0.0), *landing]
     texts = [(at, str(row.get("Message", ""))) for at, row in records.listed("MSG")]
     vehicle, kind = next((known for _, text in texts for word, known in _VEHICLES.items() if word in text), ("", 0))
     signals: dict[str, LogSignal | None] = {}

@@ -65,7 +65,7 @@ def _apart(attitude: LogSignal, wanted: LogSignal) -> Floats:
         np.abs((attitude.values[:, :2] - wanted.at(attitude.time_s - ago)[:, :2] + 180.0) % 360.0 - 180.0)
         for ago in np.linspace(0.0, _APART_S, _AGO)
     ]
-    return np.asarray(np.nanmin(ways, axis=0))
+    return np.asarray(np.fmin.reduce(ways))
 
 
 def _left(attitude: LogSignal, apart: Floats, start_s: float, end_s: float) -> bool:
