@@ -12,7 +12,6 @@ import numpy as np
 from adapters.batch import Batch
 from adapters.errors import FauioError
 from adapters.logs.recordings import Recording
-from monitor.alarms.alarm import DEFLECTION
 from monitor.event import AlarmEvent
 from monitor.fitting.flights import part_of
 from monitor.profile import read_profile
@@ -94,7 +93,8 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
             share=peak / threshold,
             text=typical.message,
             size=abs(typical.estimate or 0.0),
-            possible=typical.relative is not None or typical.kind != "actuator" or typical.unit == DEFLECTION,
+            # of a motor a share of its command is said wherever there can be one; gyros count as inputs, too
+            possible=typical.relative is not None or not span.channel.startswith("motor"),
         )
 
 
