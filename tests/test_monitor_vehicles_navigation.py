@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 import strapdown_truth as truth
@@ -13,13 +15,15 @@ from monitor.vehicles.inertial.identify import SMALLEST_GYRO
 from monitor.vehicles.inertial.strapdown import DEFAULTS, Strapdown
 
 LEVEL = 12.1
+FIELD = {**DEFAULTS, "judge_level": LEVEL, "field_noise": 0.01, "field_walk": 0.005}
+MAG = slice(15, 18)
 ONSET, END = 2000, 3000
 NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y")
 
 
-def named(raw: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+def named(raw: NDArray[np.float64], parameters: Mapping[str, float] = FIELD) -> dict[str, NDArray[np.float64]]:
     """Return what each sensor is held to read too much at every tenth of a second."""
-    transform = Strapdown({**DEFAULTS, "judge_level": LEVEL}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    transform = Strapdown(parameters, truth.SIGNAL_HZ, truth.RATE_HZ)
     assert transform.navigation is not None
     found = []
     for first in range(0, len(raw), 10):
@@ -56,7 +60,7 @@ def test_nothing_is_named_in_healthy_flight() -> None:
     assert others(named(noisy(120.0, 1)), "") == 0.0
 
 
-@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("size", [0.02, 0.1])
 def test_a_bias_of_all_gyros_is_named_although_the_attitude_follows_it(axis: int, size: float) -> None:
     raw = noisy(45.0, 2)
@@ -64,7 +68,7 @@ def test_a_bias_of_all_gyros_is_named_although_the_attitude_follows_it(axis: int
     # the autopilot's attitude drifts away with its gyros, and goes on from there
     drift = size * np.clip(np.arange(len(raw)) - ONSET, 0, END - ONSET) / truth.SIGNAL_HZ
     raw[:, 6 + axis] += 0.9 * drift
-    name = f"gyro_{'xy'[axis]}"
+    name = f"gyro_{'xyz'[axis]}"
     found = named(raw)
     within = round(10 * (5.0 if size < 0.05 else 2.5))
     assert found[name][ONSET // 10 + within] == pytest.approx(size, rel=0.3)
@@ -77,6 +81,22 @@ def test_a_bias_of_all_gyros_is_named_although_the_attitude_follows_it(axis: int
 def test_an_autopilot_that_sets_its_heading_to_a_wrong_one_makes_no_fault(turned: float) -> None:
     raw = noisy(60.0, 5)
     raw[ONSET:, 8] += turned
+    assert others(named(raw, {**DEFAULTS, "judge_level": LEVEL}), "") == 0.0
+
+
+def test_without_a_magnetic_field_gyro_z_is_not_judged() -> None:
+    raw = noisy(45.0, 2)
+    raw[ONSET:END, 5] += 0.1
+    assert np.all(named(raw, {**DEFAULTS, "judge_level": LEVEL})["gyro_z"] == 0.0)
+
+
+@pytest.mark.parametrize("onset", [1700, 2000, 2150, 2600])
+def test_a_compass_that_is_wrong_is_no_fault_of_a_gyro_although_the_attitude_follows_it(onset: int) -> None:
+    raw = noisy(55.0, 8)
+    # a field of the vehicle's own, half as strong as the horizontal one: its error changes as the vehicle turns
+    raw[onset : onset + 2000, MAG.start] += 0.5 * np.hypot(raw[0, MAG.start], raw[0, MAG.start + 1])
+    since = np.arange(len(raw)) - onset
+    raw[:, 8] += 0.4 * (np.clip(since, 0, 300) - np.clip(since - 2000, 0, 300)) / 300.0
     assert others(named(raw), "") == 0.0
 
 
@@ -91,11 +111,13 @@ def test_a_bias_of_all_accelerometers_is_named_in_body_axes(axis: int) -> None:
     assert others(found, name) == 0.0
 
 
-@pytest.mark.parametrize(("name", "size"), [("gyro_x", 0.02), ("gyro_y", 0.1), ("accel_x", 0.6), ("accel_y", 0.6)])
+@pytest.mark.parametrize(
+    ("name", "size"), [("gyro_x", 0.02), ("gyro_y", 0.1), ("gyro_z", 0.1), ("accel_x", 0.6), ("accel_y", 0.6)]
+)
 def test_the_size_of_a_fault_is_within_twice_its_standard_deviation(name: str, size: float) -> None:
     raw = noisy(30.0, 7)
-    raw[ONSET:, {"gyro_x": 3, "gyro_y": 4, "accel_x": 0, "accel_y": 1}[name]] += size
-    transform = Strapdown({**DEFAULTS, "judge_level": LEVEL}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    raw[ONSET:, {"gyro_x": 3, "gyro_y": 4, "gyro_z": 5, "accel_x": 0, "accel_y": 1}[name]] += size
+    transform = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
     assert transform.navigation is not None
     within = []
     for first in range(0, len(raw), 100):
@@ -132,9 +154,9 @@ def test_the_accelerometers_fault_is_an_output_and_none_of_it_is_left_in_the_acc
 def test_how_samples_are_cut_into_batches_changes_no_bit() -> None:
     raw = noisy(30.0, 6)
     raw[ONSET:, 4] += 0.05
-    whole = Strapdown({**DEFAULTS, "judge_level": LEVEL}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    whole = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
     expected = whole.run(raw_samples(raw, 0)).samples.y
-    parts = Strapdown({**DEFAULTS, "judge_level": LEVEL}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    parts = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
     found = [parts.run(part(raw, first, 37)).samples.y for first in range(0, len(raw), 37)]
     assert np.array_equal(np.concatenate(found), expected)
 

@@ -2,8 +2,8 @@
 """What the strapdown transform uses of the navigation."""
 
 cdef enum:
-    STATES = 10
-    HYPOTHESES = 9
+    STATES = 11
+    HYPOTHESES = 10
     ONSETS = 30
 
 
@@ -27,6 +27,14 @@ cdef class Navigation:
     cdef double[3] _force
     cdef double[2] _velocity
     cdef double[2] _offset
+    # The magnetic field: its measurement, where it points from north, what is taken for its declination and for its
+    # strength, for how long it has been so again after it jumped, how far a measurement was off that may be the first
+    # after a jump, and how errors of the attitude about north and east turn it; the largest rate of late.
+    cdef double _field_delay_s, _field_noise, _field_walk, _direction, _declined, _strength
+    cdef double _back_s, _stepped, _whirl
+    cdef double[3] _field
+    cdef double[2] _tilting
+    cdef bint _pointed, _aimed
     cdef double[2] _sharp
     cdef double[3] _missed
     # Biases: of the gyros x, y, z, of the accelerometers x, y; what each was before a fault, the variance of that, and
@@ -40,12 +48,18 @@ cdef class Navigation:
     cdef double[STATES][STATES] _Q
     cdef Signature[ONSETS] _signatures
     cdef readonly double score
+    # Whether the magnetic field jumped and has not come back.
+    cdef bint strayed
 
     cdef void restart(self) noexcept
     cdef bint go_on(
-        self, const double* force, const double* rate, const double* R, double yaw, bint lacks, double* acceleration
+        self, const double* force, const double* rate, const double* R, const double* field, bint lacks,
+        double* acceleration
     ) noexcept
-    cdef void meet(self, const double* velocity, double yaw) noexcept
+    cdef void point(self, const double* field, const double* R) noexcept
+    cdef void meet(self, const double* velocity) noexcept
+    cdef bint believed(self) noexcept
+    cdef bint steps(self, double off, double variance) noexcept
     cdef double fault(self, int which) noexcept
     cdef double spread(self, int which) noexcept
     cdef double missed(self, int axis) noexcept

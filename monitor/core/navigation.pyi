@@ -3,4 +3,12 @@ class Navigation:
     biases: tuple[float, ...]
     faults: tuple[float, ...]
 
-    def __init__(self, dt: float, every: int, level: float) -> None: ...
+    def __init__(
+        self,
+        dt: float,
+        every: int,
+        level: float,
+        field_delay_s: float = 0.0,
+        field_noise: float = 0.0,
+        field_walk: float = 0.0,
+    ) -> None: ...

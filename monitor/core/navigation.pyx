@@ -2,10 +2,15 @@
 """Strapdown navigation with an attitude and biases of its own, and the sensor that broke if it leaves the GPS.
 
 Attitude R and horizontal velocity v are integrated from gyros and accelerometers less their biases, and a Kalman filter
-corrects them by the velocity of the GPS and the heading of the autopilot. With d the error of the attitude about north,
-east and down and f the specific force,
+corrects them by the velocity of the GPS and the direction of the magnetic field m. With d the error of the attitude
+about north, east and down and f the specific force,
 
     d' = -R b_gyro,    v' = d x R f - R b_accel,    b_gyro and b_accel random walks as slow as those of healthy sensors.
+
+The field R m lies h west of north, by the declination and by what the vehicle itself adds, a random walk as well. An
+error of the attitude turns it by d_down - (m_down / m_horizontal^2) (m_north d_north + m_east d_east). A gyro z that is
+wrong turns it steadily, a magnetometer that is wrong at once. The autopilot's heading follows both and is no witness:
+where no magnetic field is measured it keeps R from drifting, and gyro z is not judged.
 
 A fault of size theta since t_0 adds theta s(t; t_0) to the innovations, where the signature s is known from the
 filter's own gains (Willsky and Jones 1976): a bias of a gyro tilts the attitude and bends the velocity away by the
@@ -26,24 +31,36 @@ as errors of a bias that walks slowly have one sign (cov >= 0); the bound is wha
 In hover a tilt and a bias of an accelerometer cannot be told apart; what tells is that no gyro turned.
 """
 
-from libc.math cimport atan2, cos, fabs, fmax, sin, sqrt
-from libc.string cimport memcpy, memmove, memset
+from libc.math cimport INFINITY, atan2, cos, fabs, fmax, sin, sqrt
+from libc.string cimport memcmp, memcpy, memmove, memset
 
 from adapters.channels import STANDARD_GRAVITY
 
 cdef double _GRAVITY = STANDARD_GRAVITY
 
 # Errors at the start: of an attitude that an autopilot has, about the horizontal axes and of its heading, rad; of the
-# velocity, m/s; of gyros (a degree per second is 0.017) and accelerometers as autopilots have calibrated them.
-cdef double[5] _START = [0.02, 0.1, 0.1, 0.01, 0.2]
+# velocity, m/s; of gyros (a degree per second is 0.017) and accelerometers as autopilots have calibrated them; and how
+# far the magnetic field is from where it was first seen, rad, thrice what one measurement of a noisy one may be off.
+cdef double[6] _START = [0.02, 0.1, 0.1, 0.01, 0.2, 0.3]
 # Random walks per root of a second: of attitude and velocity, what vibration and the straight lines between samples
 # leave; of the biases, what warms up by 0.01 rad/s and by half a metre per second squared within some hours.
 cdef double[4] _WALK = [1e-3, 0.05, 1e-4, 5e-3]
 # Noise of a GPS's velocity (0.1 m/s, 50 % circular, in data sheets), how late or early against the others it may be
-# (quarter of the time between two fixes of 5 Hz), and noise of the heading.
+# (quarter of the time between two fixes of 5 Hz), and noise of the autopilot's heading.
 cdef double _SPEED_NOISE = 0.1
 cdef double _TIMING_S = 0.05
 cdef double _HEADING_NOISE = 0.1
+# How late or early the field may be against the gyros, s: half of the step of the delays that a fit tries.
+cdef double _FIELD_TIMING_S = 0.02
+# Least step of the field's direction, rad, that is a compass at fault: half of the smallest that is worth an alarm.
+cdef double _FIELD_LEAST = 0.09
+# Standard deviations that no measurement is off by (one in two million).
+cdef double _OUTLIER = 5.0
+# Share of each measurement in its usual strength: forgotten in 40 s. One that is off by as large a share tells nothing.
+cdef double _STRENGTH_SHARE = 0.005
+# For how long it has to point as before, and to be as strong, to be a witness again, seconds. Chosen: a vehicle that
+# turns with a field of its own passes the true heading within less.
+cdef double _BACK_S = 2.0
 # Share of the accelerations' peak that is left a step later. Chosen: .8 of .2 s forgets a hard stop within a second.
 cdef double _PEAK_KEPT = 0.8
 # What lies between two samples is their mean, give or take a quarter of their difference: the variance of that.
@@ -67,22 +84,23 @@ cdef double[2] _MOST = [1.0, 4.0]
 # A heading this far off, rad, is that of another start: the autopilot has set its attitude anew, to a right one or to a
 # wrong one. It counts again when the way that the vehicle goes agrees with it, within twice its noise.
 cdef double _TURNED = 0.5
-# wrong one. It counts again when the way that the vehicle goes agrees with it, within twice its noise.
+# Sine of the pitch from which on a heading tells nothing: at 60 degrees errors of the attitude are twice that in it.
 cdef double _STEEP = 0.87
-# Variance of a measurement that is none.
-cdef double _UNKNOWN = 1e12
 # Steps with a fault that no hypothesis tells until the filter begins anew: a second set of onsets.
 cdef int _HELPLESS = 2 * ONSETS
 # Steps between two onsets.
 cdef int _SPACING = 2
 
 cdef enum:
-    # Indices of the states, and of the hypotheses: biases first, as the states are; then jumps and ramps of velocity.
+    # Indices of the states, and of the hypotheses: biases first, as the states are; then jumps of velocity and of the
+    # field's direction, and ramps of velocity.
     _V = 3
     _BG = 5
     _BA = 8
+    _H = 10
     _JUMP = 5
-    _RAMP = 7
+    _TURN = 7
+    _RAMP = 8
 
 
 cdef class Navigation:
@@ -96,10 +114,22 @@ cdef class Navigation:
         Ticks between two fixes that are compared: as often as a receiver gives new ones.
     level : float
         Logarithm of the likelihood from which a fault is believed.
+    field_delay_s, field_noise, field_walk : float
+        By how much the magnetic field is late against the gyros, seconds; noise of its direction, rad, 0: none is
+        measured; random walk of that, rad per root of a second.
     """
 
-    def __init__(self, double dt, int every, double level):
+    def __init__(
+        self,
+        double dt,
+        int every,
+        double level,
+        double field_delay_s=0.0,
+        double field_noise=0.0,
+        double field_walk=0.0,
+    ):
         self._dt, self._every, self._level = dt, every, level
+        self._field_delay_s, self._field_noise, self._field_walk = field_delay_s, field_noise, field_walk
         self.restart()
 
     @property
@@ -115,27 +145,34 @@ cdef class Navigation:
     cdef void restart(self) noexcept:
         self._begun = False
         self.score = 0.0
+        self.strayed = False
         memset(self._missed, 0, sizeof(self._missed))
 
     cdef void begin(self, const double* R) noexcept:
-        cdef int i
+        cdef int i, k
         memcpy(self._R, R, sizeof(self._R))
         memset(self._P, 0, sizeof(self._P))
         memset(self._Q, 0, sizeof(self._Q))
         memset(self._F, 0, sizeof(self._F))
         for i in range(STATES):
             self._F[i][i] = 1.0
-            self._P[i][i] = _START[0 if i < 2 else 1 if i < _V else 2 if i < _BG else 3 if i < _BA else 4] ** 2
+            k = 0 if i < 2 else 1 if i < _V else 2 if i < _BG else 3 if i < _BA else 4 if i < _H else 5
+            self._P[i][i] = _START[k] ** 2
         memset(self._bias, 0, sizeof(self._bias))
         memset(self._faulty, 0, sizeof(self._faulty))
         memset(self._offset, 0, sizeof(self._offset))
         memset(self._sharp, 0, sizeof(self._sharp))
         memset(self._missed, 0, sizeof(self._missed))
+        memset(self._field, 0, sizeof(self._field))
+        memset(self._tilting, 0, sizeof(self._tilting))
+        self._declined = self._back_s = self._stepped = self._whirl = 0.0
+        self._pointed = self._aimed = False
         self._ticks = self._count = self._helpless = 0
         self._turned = False
 
     cdef bint go_on(
-        self, const double* force, const double* rate, const double* R, double yaw, bint lacks, double* acceleration
+        self, const double* force, const double* rate, const double* R, const double* field, bint lacks,
+        double* acceleration
     ) noexcept:
         """Go on by a tick; fill in the acceleration north, east, down. Return whether a fix is due to be met."""
         cdef double[9] turned
@@ -154,6 +191,7 @@ cdef class Navigation:
         for i in range(3):
             turn[i] = (0.5 * (self._rate[i] + rate[i]) - self._bias[i]) * self._dt
             between[i] = (rate[i] - self._rate[i]) * self._dt
+            self._whirl = fmax(fabs(rate[i]), self._whirl)
         if first:
             memset(turn, 0, sizeof(turn))
         _turned(self._R, turn, turned)
@@ -169,6 +207,7 @@ cdef class Navigation:
             acceleration[i] = a[i] + (_GRAVITY if i == 2 else 0.0)
         if first:
             self._begun = True
+            self.point(field, R)
             return True
         for i in range(2):
             self._velocity[i] += specific[i] * self._dt
@@ -194,11 +233,38 @@ cdef class Navigation:
                 self._Q[_V + i][_V + i] += (_UNSEEN_ACCELERATION * self._dt) ** 2
         for i in range(3):
             self._Q[_BG + i][_BG + i] += _WALK[2] * _WALK[2] * self._dt
+        self._Q[_H][_H] += self._field_walk * self._field_walk * self._dt
         memcpy(self._R, turned, sizeof(self._R))
         memcpy(self._rate, rate, sizeof(self._rate))
         memcpy(self._force, force, sizeof(self._force))
         self._ticks += 1
+        self.point(field, R)
         return self._ticks >= self._every
+
+    cdef void point(self, const double* field, const double* R) noexcept:
+        """Follow where the magnetic field points by the attitude of this tick, or without one the heading R."""
+        cdef double[3] north
+        cdef double late = self._field_delay_s, square
+        cdef int i, j, k
+        if self._field_noise == 0.0:
+            self._direction, self._pointed = _wrapped(atan2(R[3], R[0]) - atan2(self._R[3], self._R[0])), True
+            return
+        if memcmp(field, self._field, sizeof(self._field)) == 0:
+            return
+        memcpy(self._field, field, sizeof(self._field))
+        memset(north, 0, sizeof(north))
+        for j in range(3):
+            # what the body turned since it was measured
+            i, k = (j + 1) % 3, (j + 2) % 3
+            square = field[j] - late * (
+                (self._rate[i] - self._bias[i]) * field[k] - (self._rate[k] - self._bias[k]) * field[i]
+            )
+            for i in range(3):
+                north[i] += self._R[3 * i + j] * square
+        square = north[0] * north[0] + north[1] * north[1]
+        if square > 0.0:
+            self._direction, self._pointed = -atan2(north[1], north[0]), True
+            self._tilting[0], self._tilting[1] = -north[2] * north[0] / square, -north[2] * north[1] / square
 
     cdef void row(self, double[STATES]* M, int k, const double* f) noexcept:
         """Multiply column k of a matrix from the left with the tick's transition."""
@@ -227,11 +293,12 @@ cdef class Navigation:
                 self._R[3 * i] * m[_BG] + self._R[3 * i + 1] * m[_BG + 1] + self._R[3 * i + 2] * m[_BG + 2]
             )
 
-    cdef void meet(self, const double* velocity, double yaw) noexcept:
-        """Compare with a fix of the GPS and a heading, correct, and judge."""
+    cdef void meet(self, const double* velocity) noexcept:
+        """Compare with a fix of the GPS and the field's direction, correct, and judge."""
         cdef double[3] innovation
         cdef double[3] variance
         cdef Signature* newest
+        cdef double off, spread
         cdef int i, h
         if self._ticks == 0:
             # the first tick: nothing to compare yet
@@ -250,21 +317,56 @@ cdef class Navigation:
             innovation[i] = velocity[i] - self._offset[i] - self._velocity[i]
             variance[i] = _SPEED_NOISE * _SPEED_NOISE + (_TIMING_S * self._sharp[i]) ** 2
             self._sharp[i] *= _PEAK_KEPT
-        innovation[2] = yaw - atan2(self._R[3], self._R[0])
-        innovation[2] = atan2(sin(innovation[2]), cos(innovation[2]))
-        variance[2] = _HEADING_NOISE * _HEADING_NOISE
-        if fabs(self._R[6]) <= _STEEP:
-            if not self._turned and fabs(innovation[2]) > _TURNED:
-                self._turned = True
-                self._P[2][2] += innovation[2] * innovation[2]
-            elif fabs(innovation[2]) < 2.0 * _HEADING_NOISE:
-                self._turned = False
-        if self._turned or fabs(self._R[6]) > _STEEP:
-            variance[2] = _UNKNOWN
+        innovation[2], variance[2] = 0.0, INFINITY
+        if self._field_noise == 0.0:
+            if self._pointed and fabs(self._R[6]) <= _STEEP:
+                if not self._turned and fabs(self._direction) > _TURNED:
+                    self._turned = True
+                    self._P[2][2] += self._direction * self._direction
+                elif fabs(self._direction) < 2.0 * _HEADING_NOISE:
+                    self._turned = False
+                if not self._turned:
+                    innovation[2], variance[2] = self._direction, _HEADING_NOISE * _HEADING_NOISE
+        elif self._pointed and self.believed():
+            off = _wrapped(self._direction - self._declined)
+            spread = self._field_noise * self._field_noise + (_FIELD_TIMING_S * self._whirl) ** 2
+            if not self.steps(off, spread + self._P[2][2] + 2.0 * self._P[2][_H] + self._P[_H][_H]):
+                innovation[2], variance[2] = off, spread
+        self._pointed = False
+        self._whirl *= _PEAK_KEPT
         self.update(innovation, variance)
         self._count += 1
         self.judge()
         self._ticks = 0
+
+    cdef bint believed(self) noexcept:
+        """Return whether the magnetic field tells the heading, and not that a compass is at fault."""
+        cdef double strength = sqrt(self._field[0] ** 2 + self._field[1] ** 2 + self._field[2] ** 2)
+        cdef double off, turned
+        if not self._aimed:
+            self._aimed, self._declined, self._strength = True, self._direction, strength
+        off = fabs(strength / self._strength - 1.0)
+        if self.strayed:
+            turned = fabs(_wrapped(self._direction - self._declined)) - 3.0 * sqrt(self._P[2][2] + self._P[_H][_H])
+            self._back_s = self._back_s + self._every * self._dt if fmax(off, turned) < _FIELD_LEAST else 0.0
+            self.strayed = self._back_s < _BACK_S
+        else:
+            self._strength += _STRENGTH_SHARE * (strength - self._strength)
+        return not self.strayed and off < _FIELD_LEAST
+
+    cdef bint steps(self, double off, double variance) noexcept:
+        """Return whether a field that is so far off may have stepped; the next measurement tells a step from a turn."""
+        cdef double before = self._stepped
+        self._stepped = 0.0
+        if fabs(off) < fmax(_FIELD_LEAST, _OUTLIER * sqrt(variance)):
+            return False
+        if before == 0.0:
+            self._stepped = off
+        elif fabs(off - before) < 0.5 * fabs(before):
+            self.strayed, self._back_s = True, 0.0
+        else:
+            return False
+        return True
 
     cdef void propagate(self) noexcept:
         """Take covariance and signatures from the fix before to this one."""
@@ -306,24 +408,41 @@ cdef class Navigation:
         cdef double[STATES] gain
         cdef double[STATES] x
         cdef double[STATES] of_state
+        cdef double[STATES] H
         cdef double S, nu, expected
         cdef Signature* signature
-        cdef int m, i, j, k, h, row, n
+        cdef int m, i, j, k, h, n
         self._count += 1
         n = self.onsets()
         self._count -= 1
         memset(x, 0, sizeof(x))
         for m in range(3):
-            row = _V + m if m < 2 else 2
-            S = self._P[row][row] + variance[m]
-            nu = innovation[m] - x[row]
+            if variance[m] == INFINITY:
+                continue
+            # H of v, or of the field's direction
+            memset(H, 0, sizeof(H))
+            if m < 2:
+                H[_V + m] = 1.0
+            else:
+                H[0], H[1], H[2] = self._tilting[0], self._tilting[1], 1.0
+                H[_H] = 1.0 if self._field_noise > 0.0 else 0.0
+            S, nu = variance[m], innovation[m]
             for i in range(STATES):
-                gain[i] = self._P[i][row] / S
-                of_state[i] = self._P[row][i]
+                of_state[i] = 0.0
+                for j in range(STATES):
+                    of_state[i] += self._P[i][j] * H[j]
+            for i in range(STATES):
+                S += H[i] * of_state[i]
+                nu -= H[i] * x[i]
+            for i in range(STATES):
+                # The field corrects the heading alone: its error of a degree would tilt the attitude by half of that.
+                gain[i] = of_state[i] / S if m < 2 or i == 2 or i == _BG + 2 or i == _H else 0.0
             for k in range(n):
                 signature = &self._signatures[k]
                 for h in range(HYPOTHESES):
-                    expected = signature.state[h][row]
+                    expected = 0.0
+                    for i in range(STATES):
+                        expected += H[i] * signature.state[h][i]
                     if h == _JUMP + m:
                         expected += 1.0
                     elif h == _RAMP + m:
@@ -335,7 +454,7 @@ cdef class Navigation:
             for i in range(STATES):
                 x[i] += gain[i] * nu
                 for j in range(STATES):
-                    self._P[i][j] -= gain[i] * of_state[j]
+                    self._P[i][j] -= gain[i] * of_state[j] + of_state[i] * gain[j] - gain[i] * S * gain[j]
         self.correct(x)
 
     cdef void correct(self, const double* x) noexcept:
@@ -358,6 +477,7 @@ cdef class Navigation:
             self._velocity[i] += x[_V + i]
         for i in range(5):
             self._bias[i] += x[_BG + i]
+        self._declined += x[_H]
 
     cdef void judge(self) noexcept:
         """Believe the fault that is by far the likeliest, or that one has ended."""
@@ -399,13 +519,19 @@ cdef class Navigation:
         for h in range(HYPOTHESES):
             if h != which:
                 others = fmax(others, best[h])
-        self.score = best[which]
+        # Magnetometers are judged elsewhere.
+        self.score = best[which] if which != _TURN else 0.0
         self._helpless = self._helpless + 1 if self.score > self._level else 0
-        if self.score > self._level and self.score > others + _MARGIN and which < _RAMP and which != 2:
+        if (
+            best[which] > self._level
+            and best[which] > others + _MARGIN
+            and which < _RAMP
+            and (which != 2 or self._field_noise > 0.0)
+        ):
             signature = &self._signatures[onset[which]]
             size = signature.matched[which] / signature.energy[which]
             least = _LEAST[0] if which < 3 else _LEAST[1] if which < _JUMP else 0.0
-            if fabs(size) > least:
+            if fabs(size) > least and (which >= _JUMP or fabs(size) < _MOST[which >= 3]):
                 self.jump(signature, which, size, 1.0 / signature.energy[which])
                 return
         if self._helpless > _HELPLESS:
@@ -446,8 +572,12 @@ cdef class Navigation:
                 self._doubt[which] = signature.variance[which]
             if which < 3:
                 self._missed[which] += size * signature.age * self._every * self._dt
-        else:
+        elif which < _TURN:
             self._offset[which - _JUMP] += size
+        elif fabs(size) < _FIELD_LEAST:
+            self._declined += size
+        else:
+            self.strayed, self._back_s = True, 0.0
         self.correct(x)
         self._count = self._helpless = 0
 
@@ -466,6 +596,11 @@ cdef class Navigation:
         if not self._begun:
             return 0.0
         return sqrt(self._P[_BG + which][_BG + which] + (self._doubt[which] if self._faulty[which] else 0.0))
+
+
+cdef inline double _wrapped(double angle) noexcept:
+    """Return an angle in radians between -pi and pi."""
+    return atan2(sin(angle), cos(angle))
 
 
 cdef inline void _turned(const double* R, const double* turn, double* result) noexcept:

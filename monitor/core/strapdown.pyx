@@ -226,7 +226,7 @@ cdef class StrapdownCore:
         self._fixes = _Delay.__new__(_Delay, gps_ticks, 6)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
         self._levels = _Delay.__new__(_Delay, compass_ticks, 7)
-        self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 17)
+        self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 19)
         self._attitude_share, self._angle_s = attitude_share, angles_s
         self._learned = learned
         self._washed = len(washouts) - (2 if navigation is not None else 0)
@@ -339,7 +339,7 @@ cdef class StrapdownCore:
                     scores[count] = self._navigation.score
                     for i in range(5):
                         # of gyros the attitude tells, unless one of them is at fault
-                        if i >= 3 or (i < 2 and self._biased_s > 0.0):
+                        if i >= 3 or self._biased_s > 0.0:
                             spreads[count, i] = self._navigation.spread(i)
                 for i in range(self._outputs):
                     y[count, i] = self._y[i]
@@ -402,7 +402,7 @@ cdef class StrapdownCore:
         cdef const double* rate = signals + 3
         cdef const double* sensors = signals + 9
         cdef double[9] R
-        cdef double[17] values
+        cdef double[19] values
         cdef double[3] turning
         cdef double* motion
         cdef double* sensed = NULL
@@ -448,7 +448,10 @@ cdef class StrapdownCore:
             memcpy(values, signals, 3 * sizeof(double))
             memcpy(values + 3, rate, 3 * sizeof(double))
             memcpy(values + 6, R, sizeof(R))
-            values[15], values[16] = signals[8], lacks[_IMU]
+            values[15] = lacks[_IMU]
+            memset(values + 16, 0, sizeof(self._field))
+            if self._mag:
+                memcpy(values + 16, sensors + self._gps * (3 + self._speeds) + self._baro, sizeof(self._field))
             sensed = self._sensed.push(values)
         full = motion != NULL and level != NULL
         if self._gps:
@@ -533,12 +536,12 @@ cdef class StrapdownCore:
 
     cdef void navigate(self, const double* sensed, const double* fix, double* motion) noexcept:
         """Put the accelerations of the vehicle's own navigation in place of those with the autopilot's attitude."""
-        cdef bint lacks = sensed[16] != 0.0, due
+        cdef bint lacks = sensed[15] != 0.0, due
         if not self._navigation._begun and (lacks or fix[5] != 0.0):
             return
-        due = self._navigation.go_on(sensed, sensed + 3, sensed + 6, sensed[15], lacks, motion)
+        due = self._navigation.go_on(sensed, sensed + 3, sensed + 6, sensed + 16, lacks, motion)
         if due and not fix[5] and memcmp(fix, self._fix, sizeof(self._fix)) != 0:
-            self._navigation.meet(fix + 3, sensed[15])
+            self._navigation.meet(fix + 3)
 
     cdef void follow_fix(self, const double* fix, const double* motion) noexcept:
         """Follow the GPS's speed, by the accelerations while the fix stays the same.
@@ -704,6 +707,8 @@ cdef class StrapdownCore:
         cdef bint biased = False
         cdef int axis
         if self._navigation is not None:
+            # an attitude follows the compass, too
+            biased = self._navigation.strayed
             for axis in range(3):
                 biased |= self._navigation.fault(axis) != 0.0
             self._biased_s = _LEARNING_S if biased else max(0.0, self._biased_s - self._dt)

@@ -53,6 +53,7 @@ from monitor.vehicles.inertial.sensor_fit import (
     bare_positions,
     best_delays,
     delay_costs,
+    field_noise,
     identify_inertial,
 )
 from monitor.vehicles.inertial.signals import (
@@ -66,6 +67,7 @@ from monitor.vehicles.inertial.signals import (
 from monitor.vehicles.inertial.strapdown import (
     ACCELEROMETERS,
     BAROMETER,
+    FIX_S,
     GPS,
     IMU,
     LEARNED,
@@ -202,6 +204,8 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
     parameters |= _holds(surveys, channels.channels, raw, signal_hz)
     parameters |= _delays(raw, parameters, signal_hz, rate_hz)
     if channels.parameters["gps"] in (1.0, BODY_VELOCITY) and channels.imu and signal_hz >= NAVIGATED_HZ:
+        if parameters["magnetometer"]:
+            parameters |= _field(raw, parameters, signal_hz, rate_hz)
         parameters["judge_level"] = _judge_level(raw, parameters, signal_hz, rate_hz)
     found = _designed(request, channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
     gyro = next((one.rule for one in found.alarms if one.rule.channel in GYROS), None)
@@ -333,6 +337,18 @@ def _line_s(raw: Sequence[Flight], index: int, signal_hz: float) -> float:
     return round(ticks / signal_hz, 3)
 
 
+def _field(
+    raw: Sequence[Flight], parameters: Mapping[str, float], signal_hz: float, rate_hz: float
+) -> dict[str, float]:
+    """Return noise and random walk of the magnetic field's direction, as the navigation compares it."""
+    transform = Strapdown(parameters, signal_hz, rate_hz)
+    flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
+    segments = [InertialSegment(one.u, one.y) for flight in flights for one in flight.segments()]
+    over_s = max(FIX_S, parameters.get("compass_hold_s", 0.0) / _HELD_PERIODS)
+    values = field_noise(segments, transform.inputs, transform.outputs, rate_hz, _WASHOUT_S, over_s)
+    return {key: float(f"{value:.3g}") for key, value in values.items()}
+
+
 def _judge_level(raw: Sequence[Flight], parameters: Mapping[str, float], signal_hz: float, rate_hz: float) -> float:
     """Return the likelihood, as a logarithm, from which the navigation holds a gyro or accelerometer responsible."""
     scores = []
@@ -401,8 +417,10 @@ def _holds(
         if channel.name == MAGNETOMETER[0]:
             fields = [flight.samples.u[flight.evidence, index : index + len(MAGNETOMETER)] for flight in raw]
             changes = [np.flatnonzero(np.diff(field, axis=0).any(axis=1)) for field in fields]
-            steps = np.concatenate([np.diff(change) for change in changes])
-            if len(steps) and np.median(steps) > 1.0:
+            # a measurement between two samples changes both of them, and on a line between two all change
+            firsts = [change[np.diff(change, prepend=-2) > 1] for change in changes]
+            steps = np.concatenate([np.diff(first) for first in firsts])
+            if len(steps) and 3 * sum(map(len, changes)) <= 2 * sum(map(len, fields)):
                 holds["compass_hold_s"] = round(_HELD_PERIODS * float(np.median(steps)) / signal_hz, 3)
     return holds
 

@@ -52,7 +52,7 @@ ACCELEROMETERS = ("accel_x", "accel_y")
 
 _JUDGED = ("gyro_x", "gyro_y", "gyro_z", *ACCELEROMETERS)
 """Faults that the navigation judges."""
-_FIX_S = 0.2
+FIX_S = 0.2
 """Seconds between comparisons of the navigation with the GPS. Receivers give 5 to 10 fixes a second."""
 
 DEFAULTS = {
@@ -70,6 +70,8 @@ DEFAULTS = {
     "imu_hold_s": 0.0,
     LEARNED: 0.0,
     "judge_level": 0.0,
+    "field_noise": 0.0,
+    "field_walk": 0.0,
     "attitude_share": 1.0,
     "bias_angle_x_s": 0.0,
     "bias_angle_y_s": 0.0,
@@ -98,6 +100,8 @@ class Strapdown:
         has learned may be unknown, where gyros come too seldom to tell more (the signals end with ``ESTIMATED``),
         0: gyros are integrated; ``judge_level``: logarithm of the likelihood from which a gyro or accelerometer is
         held responsible for what the GPS's velocity shows (:mod:`monitor.core.navigation`), 0: never asked;
+        ``field_noise``, ``field_walk``: noise of the magnetic field's direction, rad, and its random walk, rad per root
+        of a second, as the navigation takes its heading from them; 0: it has the autopilot's and does not judge gyro z;
         ``attitude_share``: what counts of the difference of attitude and gyros while none is held responsible;
         ``bias_angle_x_s`` (y, z): by what angle the rotation is set back for each rad/s by which the observer's
         estimate of a gyro is off while a fault of it is known, and as that ends, as much as makes the estimate jump
@@ -146,8 +150,11 @@ class Strapdown:
         self.navigation = (
             Navigation(
                 1.0 / signal_rate_hz,
-                max(1, round(_FIX_S * signal_rate_hz)),
+                max(1, round(FIX_S * signal_rate_hz)),
                 values["judge_level"],
+                values["compass_delay_s"],
+                values["field_noise"],
+                values["field_walk"],
             )
             if judged
             else None
@@ -238,7 +245,11 @@ def _checked(parameters: Mapping[str, float]) -> dict[str, float]:
             good = value in range({"gps": 4, "barometer": 3}.get(key, 2))
         else:
             good = isfinite(value) and (
-                value > 0.0 or (value == 0.0 and key.endswith(("delay_s", "hold_s", "_level", "x_s", "y_s", "z_s")))
+                value > 0.0
+                or (
+                    value == 0.0
+                    and key.endswith(("delay_s", "hold_s", "_level", "_noise", "_walk", "x_s", "y_s", "z_s"))
+                )
             )
         if not good:
             raise TelemetryError(f"strapdown: '{key}' = {value} is out of range")
