@@ -33,6 +33,7 @@ from replay.reports.plot_panels import (
     draw_inputs,
     draw_quiet,
     draw_residuals,
+    residual_sizes,
 )
 
 if TYPE_CHECKING:
@@ -70,7 +71,8 @@ def plot_png(path: str | os.PathLike[str], run: RunView, title: str = "", *, dar
     Per observer, under its name where there are several: a panel for each fault channel that had an alarm or whose
     truth is known, with its estimate within two standard deviations, its alarm threshold as a dotted band, the truth
     dashed, and its alarms as shaded spans; one panel of lanes for the quiet channels, each over its own threshold; then
-    the residuals and the inputs in lanes, each over its own size. Where all observers together have few channels, each
+    the residuals and the inputs in lanes, each over its own size, where alarms were raised those of their observers
+    alone. Where all observers together have few channels, each
     has its panel. Where several channels had alarms, lanes at the top say when. An observer without any sample has no
     panel. Time counts from the first sample; the axis says when that was. Where no alarm could be raised, gaps between
     samples among it, panels are hatched, and what is drawn there sets no scale; an estimate beyond its panel is marked
@@ -110,10 +112,20 @@ def run_figure(run: RunView, title: str, look: Look) -> Figure:
         end_s = (max(int(trace.vehicle_ns[-1]) for trace in traces) - origin_ns) / 1e9
         look = replace(look, origin_ns=origin_ns, end_s=end_s, headed=len(traces) > 1)
     chosen = choose_panels([trace.layout for trace in traces], alarmed, run.truth, run.thresholds)
+    # beside observers with alarms of others the channels alone: so the alarms are large
+    observers = {trace.layout.observer for trace in traces}
+    whole = {observer for observer, _ in alarmed} & observers or observers
     rows = [
         row
         for trace, panels in zip(traces, chosen, strict=True)
-        for row in _rows(trace, panels, _concerning(trace, traces, spans), look, heading=len(traces) > 1)
+        for row in _rows(
+            trace,
+            panels,
+            _concerning(trace, traces, spans),
+            look,
+            heading=len(traces) > 1,
+            whole=trace.layout.observer in whole,
+        )
     ] or [_Row(FAULT_IN, _draw_nothing)]
     lanes = len(alarm_lanes(spans)) if traces else 0
     if lanes > 1:
@@ -166,8 +178,10 @@ def _concerning(trace: Trace, traces: Sequence[Trace], spans: Sequence[AlarmSpan
     return [span for span in spans if span.observer not in others]
 
 
-def _rows(trace: Trace, panels: Panels, spans: Sequence[AlarmSpan], look: Look, *, heading: bool) -> Iterator[_Row]:
-    """Return an observer's panels from top to bottom."""
+def _rows(
+    trace: Trace, panels: Panels, spans: Sequence[AlarmSpan], look: Look, *, heading: bool, whole: bool
+) -> Iterator[_Row]:
+    """Return an observer's panels from top to bottom, without residuals and inputs unless it is shown ``whole``."""
     layout = trace.layout
     if heading:
         yield _Row(HEADING_IN, partial(draw_heading, look=look, text=layout.observer))
@@ -179,8 +193,9 @@ def _rows(trace: Trace, panels: Panels, spans: Sequence[AlarmSpan], look: Look, 
     if panels.together:
         draw = partial(draw_quiet, **shown, places=panels.together)
         yield _Row(_lanes_in(len(panels.together)), draw)
-    yield _Row(_lanes_in(len(layout.outputs)), partial(draw_residuals, **shown))
-    yield _Row(_lanes_in(len(layout.inputs)), partial(draw_inputs, **shown))
+    if whole:
+        yield _Row(_lanes_in(len(residual_sizes(trace))), partial(draw_residuals, **shown))
+        yield _Row(_lanes_in(len(layout.inputs)), partial(draw_inputs, **shown))
 
 
 def _lanes_in(lanes: int) -> float:

@@ -196,6 +196,7 @@ def draw_quiet(panel: Axes, look: Look, trace: Trace, places: Sequence[int], spa
 def draw_residuals(panel: Axes, look: Look, trace: Trace, spans: Sequence[AlarmSpan]) -> None:
     """Draw the residuals one below the other, each lane as high as most of its values while alarms were armed.
 
+    One that is nothing but rounding is left out.
     An alarm that is about no fault channel, such as an unexplained residual, is shaded and named here.
     """
     _shade(panel, look, trace)
@@ -203,17 +204,21 @@ def draw_residuals(panel: Axes, look: Look, trace: Trace, spans: Sequence[AlarmS
     elsewhere = [span for span in spans if span.channel not in trace.layout.faults]
     _cover(panel, look, elsewhere)
     labels = []
-    for index, name in enumerate(trace.layout.outputs):
-        residual = trace.residual[:, index]
-        half = usual_size(evidence(trace, residual))
-        nothing = half <= ROUNDING * usual_size(evidence(trace, trace.y[:, index]))
-        lane = np.clip(residual / half / 2.2, -0.5, 0.5) if half and not nothing else np.zeros(len(residual))
-        _draw_lane(panel, look, trace, lane - index, look.theme.residual)
-        labels.append(f"{_short(name)}  ±{0.0 if nothing else half:.2g}")
+    for row, (index, half) in enumerate(residual_sizes(trace).items()):
+        lane = np.clip(trace.residual[:, index] / half / 2.2, -0.5, 0.5)
+        _draw_lane(panel, look, trace, lane - row, look.theme.residual)
+        labels.append(f"{_short(trace.layout.outputs[index])}  ±{half:.2g}")
     _label_lanes(panel, labels)
     about = ", ".join(dict.fromkeys(f"{span.channel} alarm" for span in elsewhere))
     what = f"residuals ({MODEL_UNIT}; right: {LANE_PERCENT:g} % lie within)"
     _name(panel, look, trace, f"{what}; shaded: {about}" if about else what)
+
+
+def residual_sizes(trace: Trace) -> dict[int, float]:
+    """Return the size below which most of each residual is, by its index, of those that are more than rounding."""
+    halves = [usual_size(evidence(trace, residual)) for residual in trace.residual.T]
+    sizes = [usual_size(evidence(trace, measured)) for measured in trace.y.T]
+    return {index: half for index, half in enumerate(halves) if half > ROUNDING * sizes[index]}
 
 
 def draw_inputs(panel: Axes, look: Look, trace: Trace, spans: Sequence[AlarmSpan]) -> None:
