@@ -99,7 +99,9 @@ class FoxgloveRecords:
             return []
         # the row before, too: what a place gets does not depend on how the stream is cut
         before_ns, before = self._last
-        pulls = np.vstack((before, estimates.isolated[:, [faults.index(name) for name in PULLED]]))
+        # what is no evidence, as on the ground, is no pull
+        pulls = np.where(estimates.armed[:, None], estimates.isolated[:, [faults.index(name) for name in PULLED]], 0.0)
+        pulls = np.vstack((before, pulls))
         times_ns = np.concatenate(([before_ns], times_ns))
         self._last = int(times_ns[-1]), pulls[-1]
         records = []

@@ -44,14 +44,13 @@ def blueprint(
     follow: bool = False,
     active: int = 0,
     stretch: Stretch | None = None,
-    onset_ns: int | None = None,
     way: Way | None = None,
 ) -> rrb.Blueprint:
     """Return the layout of the viewer: tabs, beside them the ``way`` if there is one, above states and texts of alarms.
 
     ``roots`` are the beginnings of each vehicle's entity paths. The viewer follows the newest Unix time, or shows the
     vehicle's time; ``active`` says which tab is open, ``stretch`` what of the
-    vehicle's time is shown first, ``onset_ns`` where in it the cursor begins.
+    vehicle's time is shown first.
     """
     alarms = rrb.Horizontal(
         rrb.StateTimelineView(
@@ -75,9 +74,9 @@ def blueprint(
         else rrb.TimePanel(
             timeline="vehicle_time",
             state="collapsed",
-            # a cursor cannot be given (rerun-sdk 0.41); it plays what is selected, from its begin
-            play_state=None if stretch is None else "playing",
-            time_selection=None if stretch is None else AbsoluteTimeRange(onset_ns or stretch[0], stretch[1]),
+            # the viewer's blueprint has no cursor (rerun-sdk 0.41): it is at the begin of the recording
+            play_state=None if stretch is None else "paused",
+            time_selection=None if stretch is None else AbsoluteTimeRange(*stretch),
             loop_mode=None if stretch is None else "selection",
         )
     )

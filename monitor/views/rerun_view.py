@@ -44,7 +44,6 @@ def write_rrd(path: str | os.PathLike[str], run: RunView) -> None:
     chosen = choose_panels([trace.layout for trace in traces], alarmed, truth, thresholds)
     spans = alarm_spans(run.events)
     stretch = _first(traces, spans)
-    onset_ns = None if stretch is None else spans[0].start_vehicle_ns
     tabs = [
         observer_tab(trace.layout, panels, _limits(trace, panels, run), QUIET_LIMITS, stretch=stretch)
         for trace, panels in zip(traces, chosen, strict=True)
@@ -52,7 +51,7 @@ def write_rrd(path: str | os.PathLike[str], run: RunView) -> None:
     names = [trace.layout.observer for trace in traces]
     active = next((names.index(event.observer) for event in run.events if event.observer in names), 0)
     way = run.way if traces else None
-    layout = blueprint(tabs, active=active, stretch=stretch, onset_ns=onset_ns, way=way)
+    layout = blueprint(tabs, active=active, stretch=stretch, way=way)
     recording = rr.RecordingStream(APPLICATION)
     try:
         recording.save(os.fspath(path), default_blueprint=layout)

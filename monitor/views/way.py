@@ -34,14 +34,15 @@ class Way:
         return np.column_stack((east * np.cos(np.deg2rad(self.places[0, 0])), north, places[:, 2] - self.places[0, 2]))
 
     def real(self, traces: Iterable[Trace]) -> NDArray[np.float64]:
-        """Return the places less what the estimates attribute to a fault of GPS (N, 3)."""
+        """Return the places less what the estimates attribute to a fault of GPS, where they are evidence (N, 3)."""
         real = self.places.copy()
         for trace in traces:
             if not set(PULLED) <= set(trace.layout.faults) or not len(trace.unix_ns):
                 continue
             rows = np.searchsorted(trace.unix_ns, self.unix_ns, "right") - 1
             columns = [trace.layout.faults.index(name) for name in PULLED]
-            pulls = np.nan_to_num(trace.isolated[np.maximum(rows, 0)][:, columns]) * (rows >= 0)[:, None]
+            pulls = np.nan_to_num(trace.isolated[np.maximum(rows, 0)][:, columns])
+            pulls *= ((rows >= 0) & trace.armed[np.maximum(rows, 0)])[:, None]
             real[:, :2] -= np.rad2deg(pulls / EARTH_M)
             real[:, 1] -= np.rad2deg(pulls[:, 1] / EARTH_M) * (1.0 / np.cos(np.deg2rad(real[:, 0])) - 1.0)
         return real
