@@ -32,6 +32,8 @@ _ACTUATORS = {
 }
 """ArduPilot's default servo functions."""
 
+_NOT_ITS_OWN = ("Injected:", "Cleared:", "SIM ")
+"""How texts begin that tell of an injection or of the simulator, and that no autopilot would say of a vehicle."""
 _NEUTRAL = {"motor": 1000, "throttle": 1000}
 _NEUTRAL_SURFACE = 1500
 _COMPASS_POINTS = {"north": ("north", 1), "south": ("north", -1), "east": ("east", 1), "west": ("east", -1)}
@@ -179,6 +181,7 @@ def flight(entry: Mapping[str, Any], name: str, log: Path) -> Flight:
         if text.get("time_boot_ms") is not None
         and text.get("severity", LOUD) <= LOUD
         and (takeoff or 0) <= text["time_boot_ms"] <= (touchdown or text["time_boot_ms"])
+        and not text["text"].startswith(_NOT_ITS_OWN)
         and "cleared" not in text["text"].lower()
     ]
     return Flight(

@@ -181,6 +181,7 @@ def test_the_autopilot_is_heard_from_warnings_up_between_takeoff_and_touchdown()
         said(ON + 100, 6, "not loud"),
         said(ON + 260, 2, "EKF3 lane switch 1"),
         said(ON + 900, 2, "Glitch cleared"),
+        said(ON + 10, 2, "Injected: gps stuck, all instances"),
         said(260_000, 2, "on the ground"),
     ]
     found = described(
