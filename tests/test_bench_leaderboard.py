@@ -76,3 +76,21 @@ def test_a_flight_of_crazypad_is_read_from_its_log_and_says_what_is_cut(tmp_path
     assert flight.hover() == pytest.approx([0.45, 0.45, 0.55, 0.55])
     assert flight.rates[0] == pytest.approx([0.1, 0.2, -0.3])
     assert {message.name for message in crazypad.messages(flight)} > {"SERVO_OUTPUT_RAW", "ATTITUDE", "PARAM_VALUE"}
+
+
+@pytest.mark.parametrize("score", [crazypad.mean_command, crazypad.glr, crazypad.cusum, crazypad.kalman])
+def test_a_motor_that_is_commanded_more_than_in_normal_flights_is_named(score: crazypad.Score) -> None:
+    def flight(seed: int, excess: float) -> crazypad.Flight:
+        """Return one whose third motor needs more, its rates by what the motors deliver."""
+        draw = np.random.default_rng(seed)
+        delivered = 0.5 + 0.05 * draw.normal(size=(1600, 4))
+        rates = np.zeros((1600, 3))
+        for row in range(1599):
+            rates[row + 1] = 0.95 * rates[row] + (delivered[row] - 0.5) @ crazypad.MIXER[:, 1:]
+        commands = delivered + np.array([0.0, 0.0, excess, 0.0])
+        times = np.arange(1600) * 10_000_000
+        flying = np.ones(1600, np.bool_)
+        return crazypad.Flight("normal_flight", "E8", times, commands, rates, np.ones(1600), flying)
+
+    normal = [flight(seed, 0.0) for seed in range(4)]
+    assert crazypad.named_by(score)(normal, [flight(9, 0.1)]) == [{"motor3"}]

@@ -8,9 +8,10 @@ Two vehicles flew, E8 and E9. A flight becomes the MAVLink messages that its num
 mixer makes motor commands of thrust and torques.
 
 A profile is fitted on the normal flights of a vehicle and watches its others; each normal flight is watched with a
-profile of the other normal ones. The rival needs no model: how far the mean command of a motor is above its mean in the
-normal flights, the threshold the largest that a normal flight left out reaches, so that it has no false alarm. A cut
-propeller is found if an alarm names its motor, alone if no other is named.
+profile of the other normal ones. The rivals score each motor of a flight (how far its mean command is above its mean in
+the normal flights; GLR and CUSUM of its command; a bank of Kalman filters), the threshold the largest that a normal
+flight left out reaches, so that they have no false alarm. A cut propeller is found if an alarm names its motor, alone
+if no other is named.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import re
 import struct
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,6 +34,10 @@ import fauio
 Floats = NDArray[np.float64]
 FULL = 65535.0
 """Full command."""
+TICK = 10
+"""Samples of a tick of the Kalman filters: 0.1 s, longer than motors lag."""
+WANDERS = 0.005
+"""How far a loss goes in a tick by those filters, as a share: 5 % in 10 s."""
 FLYING_M = 0.3
 """Height from which on it flies; the flights hover at half a metre."""
 PLACES = ((0.032, 0.032, -0.05), (-0.032, 0.032, 0.05), (-0.032, -0.032, -0.05), (0.032, -0.032, 0.05))
@@ -162,16 +167,91 @@ def named_by_profile(normal: Sequence[Flight], watched: Sequence[Flight]) -> lis
     ]
 
 
-def named_by_means(normal: Sequence[Flight], watched: Sequence[Flight]) -> list[set[str]]:
-    """Return the motor whose mean command is furthest above that of normal flights, where none of these is as far."""
-    furthest = [_furthest([other for other in normal if other is not flight], flight)[1] for flight in normal]
-    found = [_furthest(normal, flight) for flight in watched]
-    return [{motor} if size > max(furthest) else set() for motor, size in found]
+Score = Callable[[Sequence[Flight], Flight], Floats]
+"""What a rival makes of a flight beside normal ones: a number for each motor (4,), the larger the more wrong."""
 
 
-def _furthest(normal: Sequence[Flight], flight: Flight) -> tuple[str, float]:
-    excess = flight.hover() - np.mean([other.hover() for other in normal], axis=0)
-    return f"motor{1 + int(excess.argmax())}", float(excess.max())
+def named_by(score: Score) -> Callable[[Sequence[Flight], Sequence[Flight]], list[set[str]]]:
+    """Return who names the motor with the largest score, where no normal flight that was left out has as much."""
+
+    def named(normal: Sequence[Flight], watched: Sequence[Flight]) -> list[set[str]]:
+        left_out = [score([other for other in normal if other is not flight], flight).max() for flight in normal]
+        scores = [score(normal, flight) for flight in watched]
+        return [{f"motor{1 + int(one.argmax())}"} if one.max() > max(left_out) else set() for one in scores]
+
+    return named
+
+
+def mean_command(normal: Sequence[Flight], flight: Flight) -> Floats:
+    """How far the mean command of each motor is above that of normal flights."""
+    return np.asarray(flight.hover() - np.mean([other.hover() for other in normal], axis=0))
+
+
+def cusum(normal: Sequence[Flight], flight: Flight) -> Floats:
+    """Largest cumulative sum of each motor's command above normal, with a drift of half a deviation."""
+    sums, most = np.zeros(4), np.zeros(4)
+    for row in _scaled(normal, flight):
+        sums = np.maximum(sums + row - 0.5, 0.0)
+        most = np.maximum(most, sums)
+    return most
+
+
+def glr(normal: Sequence[Flight], flight: Flight) -> Floats:
+    """Largest likelihood of a mean that went up, over windows that double, as if commands were white."""
+    total = np.cumsum(np.vstack([np.zeros(4), _scaled(normal, flight)]), axis=0)
+    lengths = [2**k for k in range(4, int(np.log2(len(total) - 1)) + 1)]
+    return np.max([((total[n:] - total[:-n]) / np.sqrt(n)).max(axis=0) for n in lengths], axis=0)
+
+
+def _scaled(normal: Sequence[Flight], flight: Flight) -> Floats:
+    usual = np.concatenate([one.commands[one.flying] for one in normal])
+    return np.asarray((flight.commands[flight.flying] - usual.mean(axis=0)) / usual.std(axis=0))
+
+
+def kalman(normal: Sequence[Flight], flight: Flight) -> Floats:
+    """How much likelier a weak motor is than none, by a bank of Kalman filters with a loss as a state of each.
+
+    The model is that of least squares over normal flights: rates after a tick of 0.1 s by rates and mean commands.
+    """
+    ticks = [_ticks(one) for one in normal]
+    known = np.concatenate([np.hstack([y[:-1], u[:-1], np.ones((len(y) - 1, 1))]) for y, u in ticks])
+    after = np.concatenate([y[1:] for y, _ in ticks])
+    model = np.linalg.lstsq(known, after, rcond=None)[0].T
+    a, b, c = model[:, :3], model[:, 3:7], model[:, 7]
+    noise = np.cov((after - known @ model.T).T)
+    usual = np.mean([one.hover() for one in normal], axis=0)
+    y, u = _ticks(flight)
+    healthy = _likelihood(y, u, a, b, c, noise, np.zeros((3, 1)))
+    weak = [_likelihood(y, u, a, b, c, noise, -b[:, [k]] * usual[k]) for k in range(4)]
+    return np.array(weak) - healthy
+
+
+def _ticks(flight: Flight) -> tuple[Floats, Floats]:
+    """Return rates at and mean commands from each tick on (m, 3), (m, 4)."""
+    rates, commands = flight.rates[flight.flying], flight.commands[flight.flying]
+    count = len(rates) // TICK
+    return rates[: count * TICK : TICK], commands[: count * TICK].reshape(count, TICK, 4).mean(axis=1)
+
+
+def _likelihood(y: Floats, u: Floats, a: Floats, b: Floats, c: Floats, noise: Floats, effect: Floats) -> float:
+    """Return the log-likelihood of rates by a steady Kalman filter whose last state is a loss of some effect."""
+    step = np.block([[a, effect], [np.zeros((1, 3)), np.ones((1, 1))]])
+    drift = np.zeros((4, 4))
+    drift[:3, :3], drift[3, 3] = noise, WANDERS**2 if effect.any() else 1e-12
+    seen = np.eye(3, 4)
+    spread = drift.copy()
+    for _ in range(500):
+        gain = spread @ seen.T @ np.linalg.inv(seen @ spread @ seen.T + noise)
+        spread = step @ (spread - gain @ seen @ spread) @ step.T + drift
+    innovation = seen @ spread @ seen.T + noise
+    weight, size = np.linalg.inv(innovation), float(np.linalg.slogdet(innovation)[1])
+    state, total = np.append(y[0], 0.0), 0.0
+    for row in range(len(y) - 1):
+        state = step @ state + np.append(b @ u[row] + c, 0.0)
+        off = y[row + 1] - state[:3]
+        total -= 0.5 * (float(off @ weight @ off) + size)
+        state = state + gain @ off
+    return total
 
 
 def scored(flights: Sequence[Flight], named: Sequence[set[str]], least_mm: float, most_mm: float) -> dict[str, int]:
@@ -204,17 +284,18 @@ def main() -> int:
         print(f"crazypad: {options.folder} holds no E8_log00 and so on; give data/controller_data", file=sys.stderr)
         return 2
     flights = [read_flight(path) for path in paths]
-    detectors = {"fauio": named_by_profile, "mean command": named_by_means}
+    rivals = {"mean command": mean_command, "GLR": glr, "CUSUM": cusum, "Kalman bank": kalman}
+    detectors = {"fauio": named_by_profile, **{name: named_by(score) for name, score in rivals.items()}}
     result: dict[str, object] = {}
-    for detector, named_by in detectors.items():
+    for detector, names in detectors.items():
         of_all: list[tuple[Flight, set[str]]] = []
         false: list[set[str]] = []
         for vehicle in ("E8", "E9"):
             normal = [one for one in flights if one.vehicle == vehicle and one.name == "normal_flight"]
             others = [one for one in flights if one.vehicle == vehicle and one.name != "normal_flight"]
-            of_all += zip(others, named_by(normal, others), strict=True)
-            if named_by is named_by_profile:
-                false += [named_by([one for one in normal if one is not flight], [flight])[0] for flight in normal]
+            of_all += zip(others, names(normal, others), strict=True)
+            if names is named_by_profile:
+                false += [names([one for one in normal if one is not flight], [flight])[0] for flight in normal]
         watched, named = zip(*of_all, strict=True)
         result[detector] = {
             "cut, mm": {
