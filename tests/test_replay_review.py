@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,8 +21,10 @@ from review_logs import (
     usual_height,
     usual_motors,
 )
+from synthetic_run import START_NS, event
 
 import fauio
+from replay.review import learning
 from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
 from replay.review.review import LogReview, judged, review_log
 from replay.review.rules import RULES
@@ -311,6 +314,18 @@ def test_a_size_that_no_actuator_can_have_is_not_stated() -> None:
     review = watched(replace(LEARNED["actuator_effect"], possible=False, text="motor2 is off by 22 % of full thrust"))
     assert names(review) == []
     assert "motor2 would lack more than there is" in review.unjudged["An actuator does less than it did"]
+
+
+@pytest.mark.parametrize(
+    ("channel", "relative", "possible"), [("motor1", -0.06, True), ("motor1", None, False), ("gyro_y", None, True)]
+)
+def test_a_motor_lacks_a_share_of_its_command_and_a_gyro_has_none(
+    channel: str, relative: float | None, possible: bool
+) -> None:
+    said = {"channel": channel, "relative": relative}
+    run = SimpleNamespace(events=[event(6000, "raised", **said), event(9000, "cleared", **said)])
+    facts = LogFacts("PX4", "multirotor", START_NS, 100.0, (), ((0.0, 100.0),), {})
+    assert [one.possible for one in learning._alarms(run, facts, 40.0)] == [possible]
 
 
 def test_what_was_learned_as_healthy_is_said() -> None:
