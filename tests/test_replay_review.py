@@ -305,6 +305,11 @@ def test_an_alarm_of_what_was_learned_may_be_the_flight_itself(alarm: LearnedAla
     assert names(watched(alarm)) == []
 
 
+def test_an_alarm_that_ended_by_itself_is_information() -> None:
+    review = watched(replace(LEARNED["actuator_effect"], end_s=36.0))
+    assert [(one.rule.name, one.judgement.weight) for one in review.findings] == [("actuator_effect", "information")]
+
+
 def test_an_alarm_that_lasts_to_the_end_of_the_flight_may_be_short() -> None:
     assert names(watched(replace(LEARNED["actuator_effect"], start_s=49.0, end_s=60.0))) == ["actuator_effect"]
 

@@ -9,12 +9,13 @@ from replay.review.findings.loss_of_control import lost_s
 from replay.review.findings.rule import Judgement, UnjudgedError
 
 _LEAST_S = 5.0
-"""Of an alarm that lasts to the flight's end. Measured on fifteen healthy simulated flights learned from their first
+"""Of an alarm that is more than a moment. Measured on fifteen healthy simulated flights learned from their first
 40 s: alarms of motors end within 3.6 s (hard turns that the begin did not have)."""
 _PASSING_S = 12.0
-"""Of an alarm that ends by itself: what is broken stays so. Measured on 41 real flights that were learned from (public
-logs of ArduPilot): where nothing else speaks of a fault, seven alarms of motors and GPS velocities end after 6 to 11 s,
-those of the latter because the observer holds a jump for 10 s. Those of faults last as long as the fault."""
+"""Of an alarm that ends by itself, below which it is information alone: what is broken stays so. Measured on 41 real
+flights that were learned from (public logs of ArduPilot): where nothing else speaks of a fault, seven alarms of motors
+and GPS velocities end after 6 to 11 s, those of the latter because the observer holds a jump for 10 s. Those of faults
+last as long as the fault."""
 _POSITIONS = ("gps_north", "gps_east", "gps_down")
 _ACCURACY_M = 2.5
 """Metres by which half of a receiver's fixes are off (data sheet of u-blox's M8): less is no fault of it. Measured: in
@@ -36,7 +37,9 @@ def alarms_of(
     end_s = lost_s(facts)
     # what the motors' observer says of gyros is command against motion: which of the two is wrong it cannot tell alone
     lasting = [
-        one for one in watch.alarms if one.channel.startswith(channels) and _lasts(one, facts, end_s) and _own(one)
+        one
+        for one in watch.alarms
+        if one.channel.startswith(channels) and _own(one) and _until_s(one, facts, end_s) - one.start_s >= _LEAST_S
     ]
     learned_s = watch.until_s - max((start for start, _ in facts.flight if start < watch.until_s), default=0.0)
     wrong = {one.observer: one for one in reversed(lasting) if not one.possible}
@@ -48,9 +51,11 @@ def alarms_of(
             f"{first.channel} would lack more than there is"
         )
     for channel in dict.fromkeys(one.channel for one in sound):
-        own = [one for one in sound if one.channel == channel]
+        every = [one for one in sound if one.channel == channel]
+        staying = [one for one in every if _stays(one, facts, end_s)]
+        own = staying or every
         largest = max(own, key=lambda one: one.share)
-        enough = largest.share >= least_share and not _within_accuracy(largest)
+        enough = bool(staying) and largest.share >= least_share and not _within_accuracy(largest)
         # a heading off and a turn rate off look alike to the sensors that are left
         either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
         yield Judgement(
@@ -82,7 +87,13 @@ def _own(alarm: LearnedAlarm) -> bool:
     return alarm.observer == "inertial" or not alarm.channel.startswith(("gyro_", "accel_"))
 
 
-def _lasts(alarm: LearnedAlarm, facts: LogFacts, end_s: float) -> bool:
+def _until_s(alarm: LearnedAlarm, facts: LogFacts, end_s: float) -> float:
+    """Return when an alarm ended, or what can be judged of the flight."""
     flight_end_s = max((end for start, end in facts.flight if start <= alarm.start_s), default=0.0) - _LANDING_S
-    end_s = min(end_s, flight_end_s)
-    return min(alarm.end_s, end_s) - alarm.start_s >= (_LEAST_S if alarm.end_s >= end_s else _PASSING_S)
+    return min(alarm.end_s, end_s, flight_end_s)
+
+
+def _stays(alarm: LearnedAlarm, facts: LogFacts, end_s: float) -> bool:
+    """Return whether an alarm did not end by itself, or lasted long before."""
+    until_s = _until_s(alarm, facts, end_s)
+    return until_s < alarm.end_s or until_s - alarm.start_s >= _PASSING_S
