@@ -27,6 +27,7 @@ from monitor.fitting.raw_streams import hidden
 from monitor.fitting.survey import ESC_MESSAGES, MOTOR_MESSAGE, Survey, of_one_vehicle, survey
 from monitor.sampling.identity import Reports
 from monitor.sampling.slow_telemetry import motor_gain, slow_messages
+from monitor.sampling.supply import BATTERY_MESSAGE, CELLS_MESSAGE
 from monitor.vehicles.base import Preview, VehicleKind, likely_kinds, load
 from monitor.vehicles.kinds import KINDS
 
@@ -61,7 +62,7 @@ _INPUTS = {
     "ACTUATOR_CONTROL_TARGET": "torques and thrust that the controllers ask for",
     "ESC_STATUS": "speed, voltage and current of motors",
     **dict.fromkeys(ESC_MESSAGES, "speed, voltage and current of motors"),
-    "SYS_STATUS": "voltage and current of the battery",
+    **dict.fromkeys((BATTERY_MESSAGE, CELLS_MESSAGE), "voltage and current of the battery"),
     "VIBRATION": "vibration and clipping of the accelerometers",
 }
 """Messages of what acts on a vehicle, and what they hold."""
