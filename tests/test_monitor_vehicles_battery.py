@@ -1,5 +1,6 @@
 """The battery's resistance against what was learned, and how long its charge lasts."""
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -82,6 +83,11 @@ def test_cells_that_are_reported_more_often_than_the_battery_are_added_up(fitted
     raised, *_ = play(profile, in_cells(quad(9, 45.0, Fault("battery", 0, 1.0, onset_s=20.0)))).events
     assert (raised.channel, raised.state) == ("battery", "raised")
     assert "milliohms" in raised.message
+
+
+def test_a_resistance_may_be_more_than_twice_the_usual_one(profile: Profile) -> None:
+    events = play(profile, quad(9, 45.0, Fault("battery", 0, 3.0, onset_s=20.0))).events
+    assert any(re.match("battery has [12][0-9]{2} % more resistance than is usual: ", one.message) for one in events)
 
 
 def test_half_as_much_resistance_more_is_an_alarm_of_its_size(profile: Profile) -> None:

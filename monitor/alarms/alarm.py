@@ -288,7 +288,9 @@ class Alarm:
             self._id = alarm_id(self._vehicle, rule.observer, rule.channel, time_ns)
             self.since_ns = time_ns + late_ns
         if command is not None:
-            relative = relative_loss(now.shown, command)
+            # current and resistance may be any number of times the usual one
+            unbounded = rule.unit in (CURRENT, RESISTANCE) and command
+            relative = now.shown / command if unbounded else relative_loss(now.shown, command)
         state = _STATES[code]
         message = alarm_message(rule.observer, rule.channel, rule.kind, rule.unit, state, now.shown, relative)
         if rule.unit == RESISTANCE and code != CLEARED:
