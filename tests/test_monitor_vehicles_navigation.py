@@ -169,3 +169,20 @@ def test_the_end_of_a_gyros_bias_is_one_step_to_nothing() -> None:
     assert ended <= 25
     assert np.all(sizes[ended:] == 0.0)
     assert np.all(sizes[:ended] > 0.05)
+
+
+def test_after_a_gyros_fault_the_compass_is_levelled_by_the_navigation() -> None:
+    raw = noisy(45.0, 2)
+    faulty = raw.copy()
+    faulty[ONSET:END, 3] += 0.05
+    # the autopilot's attitude is half a radian off from then on
+    faulty[:, 6] += 0.05 * np.clip(np.arange(len(raw)) - ONSET, 0, END - ONSET) / truth.SIGNAL_HZ
+    headings = []
+    for signals in (raw, faulty):
+        transform = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
+        y = transform.run(raw_samples(signals, 0)).samples.y
+        headings.append(y[:, transform.outputs.index("heading")])
+    apart = headings[1] - headings[0]
+    # what is left of the step at the onset is forgotten with the washout, and nothing is added
+    kept = np.exp(-1.0 / (30.0 * truth.RATE_HZ))
+    assert np.abs(apart[1:] - kept * apart[:-1])[END // 4 + 100 :].max() < 0.01

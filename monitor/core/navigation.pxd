@@ -62,6 +62,7 @@ cdef class Navigation:
     cdef bint steps(self, double off, double variance) noexcept
     cdef double fault(self, int which) noexcept
     cdef double spread(self, int which) noexcept
+    cdef void differ(self, const double* R, double* apart) noexcept
     cdef double missed(self, int axis) noexcept
     cdef void begin(self, const double* R) noexcept
     cdef void propagate(self) noexcept

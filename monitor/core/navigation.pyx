@@ -84,7 +84,7 @@ cdef double[2] _MOST = [1.0, 4.0]
 # A heading this far off, rad, is that of another start: the autopilot has set its attitude anew, to a right one or to a
 # wrong one. It counts again when the way that the vehicle goes agrees with it, within twice its noise.
 cdef double _TURNED = 0.5
-# Sine of the pitch from which on a heading tells nothing: at 60 degrees errors of the attitude are twice that in it.
+# Sine of the pitch from which on a heading tells nothing: at 60 degrees errors of the attitude count twice in it.
 cdef double _STEEP = 0.87
 # Steps with a fault that no hypothesis tells until the filter begins anew: a second set of onsets.
 cdef int _HELPLESS = 2 * ONSETS
@@ -580,6 +580,15 @@ cdef class Navigation:
             self.strayed, self._back_s = True, 0.0
         self.correct(x)
         self._count = self._helpless = 0
+
+    cdef void differ(self, const double* R, double* apart) noexcept:
+        """Fill in the rotation from this attitude to another, north, east, down."""
+        cdef int i, j, k
+        for i in range(3):
+            for j in range(3):
+                apart[3 * i + j] = 0.0
+                for k in range(3):
+                    apart[3 * i + j] += R[3 * i + k] * self._R[3 * j + k]
 
     cdef double missed(self, int axis) noexcept:
         """Return what a gyro's faults that began or ended turned meanwhile; once."""
