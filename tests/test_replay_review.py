@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from dataflash_writer import DataflashWriter
 from review_logs import (
     DISARM_S,
     HOVER,
@@ -314,6 +315,15 @@ def test_an_alarm_that_lasts_to_the_end_of_the_flight_may_be_short() -> None:
     assert names(watched(replace(LEARNED["actuator_effect"], start_s=49.0, end_s=60.0))) == ["actuator_effect"]
 
 
+@pytest.mark.parametrize(("until", "weight"), [(32.0, "information"), (DISARM_S, "critical")])
+def test_who_turns_over_in_acro_and_stays_so_did_not_mean_it(until: float, weight: str, tmp_path: Path) -> None:
+    flight = Flight(
+        mode=10, tilt_deg=between(30.0, until, 150.0, 0.0), tilt_wanted_deg=between(30.0, until, 150.0, 0.0)
+    )
+    review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
+    assert [one.judgement.weight for one in review.findings] == [weight]
+
+
 def test_a_size_that_no_actuator_can_have_is_not_stated() -> None:
     """The commands of a vehicle that lay on the ground were so small that a motor was to lack four times as much."""
     review = watched(replace(LEARNED["actuator_effect"], possible=False, text="motor2 is off by 22 % of full thrust"))
@@ -397,6 +407,18 @@ def test_a_log_of_ardupilot_that_begins_in_the_air_shows_a_flight(tmp_path: Path
     )
     review = rules_on(ardupilot_log(tmp_path / "flight.bin", flight, landed_at_begin=False))
     assert review.facts.flight[0] == (0.0, pytest.approx(LANDING_S))
+
+
+def test_a_plane_whose_log_has_no_barometer_flies_by_its_receivers_height(tmp_path: Path) -> None:
+    log = DataflashWriter()
+    log.define("MSG", "QZ", "TimeUS,Message")
+    log.define("GPS", "QBBf", "TimeUS,Status,NSats,Alt")
+    log.add("MSG", 0, "ArduPlane V3.1.2")
+    for second in range(60):
+        log.add("GPS", 1_000_000 * second, 3, 9, 500.0 + 50.0 * (10 <= second < 40))
+    path = tmp_path / "plane.bin"
+    path.write_bytes(log.data)
+    assert rules_on(path).facts.flight == (pytest.approx((10.0, 40.0), abs=0.1),)
 
 
 @pytest.mark.parametrize("output", ["Ch", "Chan"])

@@ -82,7 +82,9 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     kalman = "XKF" if ("XKF4", 0) in set(records.names()) else "NKF"
     signals["height_estimate"] = above_begin(get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0))
     # planes do not log when they take off
-    air = state_spans([(at, not value) for at, value in landing], end_s) if landing else off_ground(signals["height"])
+    received = above_begin(get("GPS", ["Alt"], ["receiver"], "m"))
+    lifted = off_ground(signals["height"], received)
+    air = state_spans([(at, not value) for at, value in landing], end_s) if landing else lifted
     flight = overlap(air, armed)
     signals["climb"] = get(f"{kalman}1", ["VD"], ["climb"], "m/s", -1.0)
     signals["climb_wanted"] = get("PSCD", ["TVD"], ["wanted"], "m/s", -1.0)

@@ -195,9 +195,13 @@ def spans_where(time_s: Floats, holds: NDArray[np.bool_], least_s: float = 0.0) 
     return [(start, end) for start, end in spans if end - start >= least_s]
 
 
-def off_ground(height: LogSignal | None) -> list[tuple[float, float]]:
-    """Return when a vehicle flew whose log does not say it, by its height above where the log begins."""
-    return [] if height is None else spans_where(height.time_s, height.only > _LIFTED, 2.0)
+def off_ground(height: LogSignal | None, receiver: LogSignal | None = None) -> list[tuple[float, float]]:
+    """Return when a vehicle flew whose log does not say it, by its height above where the log begins.
+
+    That of its ``receiver`` counts where there is no other.
+    """
+    known, lifted = (height, _LIFTED) if height is not None else (receiver, _LIFTED_BY_GPS)
+    return [] if known is None else spans_where(known.time_s, known.only > lifted, 2.0)
 
 
 def flown(flight: Iterable[tuple[float, float]], motors: LogSignal | None) -> list[tuple[float, float]]:
@@ -208,7 +212,7 @@ def flown(flight: Iterable[tuple[float, float]], motors: LogSignal | None) -> li
     idle = (np.ptp(motors.values, axis=1) < _ALIKE) & (motors.values.max(axis=1) < CARRIES)
     for start, end in spans_where(motors.time_s, idle, _IDLE_S):
         edges += [(start, False), (end, True)]
-    return overlap(flight, state_spans(edges, np.inf))
+    return [(start, end) for start, end in overlap(flight, state_spans(edges, np.inf)) if end - start >= _HOP_S]
 
 
 class LogRecords:
@@ -380,10 +384,14 @@ _ALIKE = 0.005
 """Of full command: half a step of 8 bits. Motors that carry a vehicle differ by what its controllers ask."""
 CARRIES = 0.15
 """Share of full command from which on the strongest vehicles hover; motors idle at 0.05 to 0.13."""
+_HOP_S = 1.0
+"""Chosen: what is shorter is a report that was taken back, or a touch of the throttle."""
 _IDLE_S = 3.0
 """Time in which a vehicle without thrust falls 44 m: who lets all motors idle that long stands on the ground."""
 _LIFTED = 1.0
 """Metres above where it armed from which a vehicle flies that does not say it. Chosen: twice a barometer's drift."""
+_LIFTED_BY_GPS = 15.0
+"""Metres: GPS heights of a receiver that stands drift by some; three times its horizontal 5 m."""
 _DEGREE_M = 111_195.0
 """Metres of a degree on a sphere of the Earth's mean radius, 6371 km: 0.3 % off at most, on a map."""
 _FIX_3D = 3

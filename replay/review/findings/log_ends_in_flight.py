@@ -16,7 +16,13 @@ _AT_END_S = 1.5
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     height = facts.signals["height"]
     late = facts.duration_s - _AT_END_S
-    if not facts.flight or facts.flight[-1][1] < late or not facts.armed or facts.armed[-1][1] < late:
+    if (
+        facts.vehicle == "rover"
+        or not facts.flight
+        or facts.flight[-1][1] < late
+        or not facts.armed
+        or facts.armed[-1][1] < late
+    ):
         return
     last = height.only[height.time_s > late]
     if not len(last) or last[-1] < _HIGH_M:

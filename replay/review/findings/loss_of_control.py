@@ -19,8 +19,6 @@ _FALL_S = 3.0
 _UPSIDE_DOWN = 100.0
 """Degrees of roll or pitch beyond which no multirotor is held unless it flips on purpose."""
 _GRAVITY = 9.81
-_UPRIGHT = 0.7
-"""Cosine of 45 degrees: of what stands so the accelerometer along the rotors has the most."""
 _ABOUT_S = 1.0
 """Seconds ahead of an attitude in which a blow belongs to it."""
 _ON_ITS_BACK_S = 0.3
@@ -75,8 +73,8 @@ def undisturbed(facts: LogFacts, start_s: float) -> bool:
         return False
     values = force.during(start_s - _ABOUT_S, start_s + _FALL_S).values
     blow = float(np.linalg.norm(values, axis=1).max(initial=0.0))
-    upright = len(values) > 0 and float(np.median(values[:, 2])) < -_UPRIGHT * _GRAVITY
-    return upright and blow < 2 * _GRAVITY and abs(fell) < FELL_M
+    on_its_back = not len(values) or float(np.median(values[:, 2])) > 0.0
+    return not on_its_back and blow < 2 * _GRAVITY and abs(fell) < FELL_M
 
 
 def lost_s(facts: LogFacts) -> float:

@@ -11,6 +11,8 @@ from replay.review.findings.loss_of_control import stops, tumbles
 from replay.review.findings.rule import Judgement, Rule
 
 _ON_PURPOSE = ("Acro", "ACRO", "FLIP", "RATTITUDE")
+_STAYED_S = 1.0
+"""Chosen: who is on its back so shortly before the flight ends did not fly on."""
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
@@ -20,7 +22,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
         if any(at < start for at in stopped):
             return
         modes = [one.text for one in facts.statements if one.kind == "mode" and one.time_s <= start]
-        meant = bool(modes) and any(word in modes[-1] for word in _ON_PURPOSE)
+        stayed = any(until > facts.flight[-1][1] - _STAYED_S for _, until in tumbles(facts))
+        meant = bool(modes) and any(word in modes[-1] for word in _ON_PURPOSE) and not stayed
         most = float(np.abs(attitude.during(start, end + 0.1).values[:, :2]).max())
         yield Judgement(
             start_s=start,
@@ -44,8 +47,8 @@ RULE = Rule(
     stage="motion",
     physics="With a motor or a propeller gone, or with a wrong attitude, a multirotor tumbles within a second.",
     evidence="roll or pitch beyond 100 degrees for 0.3 s in flight",
-    counter="flips in acro modes; a fall after motors were stopped; an estimator that errs: no blow, no fall, and the "
-    "accelerometer along the rotors holds the weight",
+    counter="flips in acro modes, after which it flies on; a fall after motors were stopped; an estimator that errs: "
+    "no blow, no fall, and the accelerometer along the rotors does not hang",
     needs=("attitude", "motors"),
     judge=_judge,
     multirotor=True,
