@@ -194,7 +194,7 @@ class ObserverChain:
     """State of one observer of one vehicle.
 
     Clock and excuses (which alarms explain which) are shared by the vehicle's observers; the gate says when samples
-    count as evidence.
+    count as evidence; ``sooner`` are the observers that see all of its faults sooner.
     """
 
     def __init__(
@@ -204,6 +204,7 @@ class ObserverChain:
         gate: GateRule,
         clock: VehicleClock,
         excuses: Excuses | None = None,
+        sooner: Sequence[str] = (),
     ) -> None:
         gains = profile.gains[0]
         names = tuple(channel.name for channel in profile.faults)
@@ -260,6 +261,8 @@ class ObserverChain:
         for alarm in self._alarms[: len(self._faults)]:
             channel = alarm.rule.channel
             self._excuses.add(channel, alarm.state, profile.name, jumps=channel in jumping, affect=alarm.affect)
+        for alarm in self._alarms if sooner else ():
+            self._excuses.add_beside(alarm.rule.channel, alarm.state, sooner, alarm.rule.slow_s)
 
     @property
     def interests(self) -> frozenset[str]:

@@ -37,7 +37,7 @@ from monitor.core.arrivals import Arrivals
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent, is_seq, valid_event
-from monitor.profile import Profile
+from monitor.profile import Profile, seen_sooner
 from monitor.sampling.gate import allows
 from monitor.sampling.identity import Identity
 from monitor.sampling.phase import CONTESTED, FlightPhase
@@ -104,8 +104,9 @@ class Pipeline:
         self._phase = FlightPhase(None if force else profile.identity)
         self._link = LinkAlarms(self.vehicle)
         self._excuses = Excuses(profile.excuses, self._link.affect)
+        sooner = seen_sooner({one.name: [fault.name for fault in one.faults] for one in profile.observers})
         self._chains = [
-            ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._excuses)
+            ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._excuses, sooner[observer.name])
             for observer in profile.observers
         ]
         self._gates = [chain.gate for chain in self._chains]

@@ -422,6 +422,17 @@ def newly_watched(faults: Iterable[Iterable[str]]) -> list[frozenset[str]]:
     return new
 
 
+def seen_sooner(faults: Mapping[str, Iterable[str]]) -> dict[str, list[str]]:
+    """Return of each observer those before it that watch all of its faults, by the names of the faults of each."""
+    watched: dict[str, frozenset[str]] = {}
+    sooner = {}
+    for observer, names in faults.items():
+        own = frozenset(names)
+        sooner[observer] = [before for before, others in watched.items() if own <= others]
+        watched[observer] = own
+    return sooner
+
+
 def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tuple[AlarmRule, ...]:
     rules = []
     known = {channel.name: channel for channel in faults}

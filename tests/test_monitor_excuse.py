@@ -73,6 +73,20 @@ def test_evidence_of_the_sample_that_cleared_the_cause_is_excused() -> None:
     assert excused(north, 10)
 
 
+def test_an_observer_is_silent_while_one_that_sees_its_faults_sooner_names_any() -> None:
+    excuses = Excuses(())
+    trim = watched(excuses, "motor1")
+    excuses.add_beside("motor1", trim, ["motors"], 10.0)
+    excuses.follow(replace(event("unexplained", "raised", 1.0), kind="residual"))
+    excuses.follow(replace(event("motor3", "raised", 1.0), observer="esc"))
+    assert not excused(trim, 2)
+    excuses.follow(event("motor2", "raised", 3.0))
+    assert excused(trim, 500)
+    excuses.follow(event("motor2", "cleared", 510.0))
+    assert excused(trim, 519)
+    assert not excused(trim, 521)
+
+
 def test_what_an_active_alarm_explains_is_listed_under_it_once() -> None:
     told: list[str] = []
 

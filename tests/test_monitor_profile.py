@@ -11,7 +11,7 @@ import pytest
 import fauio
 from adapters.errors import ProfileError
 from monitor.estimation.isolation_rule import BankRule
-from monitor.profile import read_profile
+from monitor.profile import read_profile, seen_sooner
 
 
 @pytest.fixture
@@ -134,3 +134,8 @@ def test_a_missing_file_is_named(folder: Path) -> None:
         read_profile(folder)
     with pytest.raises(ProfileError, match=r"has no profile\.toml; name the profile folder"):
         read_profile(folder.parent)
+
+
+def test_an_observer_is_sooner_where_it_watches_all_faults_of_a_later_one() -> None:
+    faults = {"motors": ("motor1", "motor2", "gyro_x"), "trim": ("motor1", "motor2"), "inertial": ("gyro_x", "baro")}
+    assert seen_sooner(faults) == {"motors": [], "trim": ["motors"], "inertial": []}

@@ -7,7 +7,7 @@ the alarm of one is active, the other raises none.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,6 +65,9 @@ class Excuses:
         self._lasting_cleared_ns: dict[str, int] = {}
         self._jumps: dict[str, list[tuple[str, AlarmState]]] = {}
         self._affect: dict[str, list[Affect]] = {}
+        self._beside: dict[AlarmState, tuple[str, frozenset[str], float]] = {}
+        self._named: dict[str, set[str]] = {}
+        self._named_until_ns: dict[str, int] = {}
 
     def add(
         self, channel: str, alarm: AlarmState, observer: str = "", *, jumps: bool = False, affect: Affect | None = None
@@ -79,6 +82,13 @@ class Excuses:
             self._jumps.setdefault(channel, []).append((observer, alarm))
         if affect is not None:
             self._affect.setdefault(channel, []).append(affect)
+
+    def add_beside(self, channel: str, alarm: AlarmState, sooner: Collection[str], for_s: float) -> None:
+        """Excuse an alarm while observers that see its faults sooner have named one, and for some time after.
+
+        Of a fault that one of them names another observer of the same motion knows no better.
+        """
+        self._beside[alarm] = channel, frozenset(sooner), for_s
 
     def explained(
         self, channel: str, time_ns: int, vehicle_ns: int, alarm: AlarmState | None = None
@@ -118,6 +128,14 @@ class Excuses:
                 if followed and event.state == "cleared":
                     self._lasting_cleared_ns[channel] = self._cleared_ns[channel]
                 self._set(channel, alarms)
+        if event.kind == "residual":
+            return
+        named = self._named.setdefault(event.observer, set())
+        (named.discard if event.state == "cleared" else named.add)(event.id)
+        self._named_until_ns[event.observer] = event.vehicle_time_ms * 1_000_000
+        for alarm, (channel, sooner, _) in self._beside.items():
+            if event.observer in sooner:
+                self._set(channel, [alarm])
 
     def _set(self, channel: str, alarms: Sequence[AlarmState]) -> None:
         """Let alarms of a channel know when they are excused."""
@@ -127,7 +145,11 @@ class Excuses:
             ended = np.concatenate([spans, np.array([_about(cleared_ns, HOLD_S)], np.int64)])
         jumps = {alarm for _, alarm in self._jumps.get(channel, ())}
         for alarm in alarms:
-            alarm.set_excuse(now or alarm in self._forged, ended if alarm in jumps else spans)
+            _, sooner, for_s = self._beside.get(alarm, ("", frozenset[str](), 0.0))
+            named = any(self._named.get(observer) for observer in sooner)
+            after = [_about(self._named_until_ns[one], for_s) for one in sooner if one in self._named_until_ns]
+            times = np.concatenate([ended if alarm in jumps else spans, np.array(after, np.int64).reshape(-1, 2)])
+            alarm.set_excuse(now or named or alarm in self._forged, times)
 
     def _excuse(self, channel: str) -> tuple[bool, NDArray[np.int64]]:
         """Return whether a channel is excused whenever, and the spans of vehicle time in which it is (m, 2), ns."""
