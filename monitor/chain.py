@@ -444,6 +444,9 @@ class ObserverChain:
             # an edge is judged by what is flat before and after it
             scale = np.where(self._healthy > 0.0, scale * beyond[:, None], scale)
         changes = self._changes_of(estimates, commands)
+        if changes is not None and beyond is not None:
+            # so many times larger errors are likelier to look like a fault by the square
+            changes = changes._replace(nats=changes.nats / beyond**2)
         rows = ChainRows(
             self._states,
             position,

@@ -154,8 +154,10 @@ _EXCUSES = (
     ExcuseRule(MOTION, (*GYROS, *ACCELEROMETERS, *_POSITION, *GPS_VELOCITY), 2.0 * _VELOCITY_WASHOUT_S),
     # The position is compared with the velocity: where that is wrong the position is no culprit.
     ExcuseRule(_POSITION, GPS_VELOCITY, 0.5 * _VELOCITY_WASHOUT_S),
-    # A tilted attitude takes the magnetic field's dip for heading, and gravity for less of itself.
-    ExcuseRule(("compass", "accel_z"), (*GYROS, *MOTION), 2.0 * _VELOCITY_WASHOUT_S),
+    # A tilted attitude takes the magnetic field's dip for heading, which is forgotten with the washout of angles, and
+    # gravity for less of itself.
+    ExcuseRule(("compass",), (*GYROS, *MOTION), 2.0 * _WASHOUT_S),
+    ExcuseRule(("accel_z",), (*GYROS, *MOTION), 2.0 * _VELOCITY_WASHOUT_S),
     # An estimator that was fed with a wrong GPS tilts the attitude, and takes that back afterwards without a rotation.
     ExcuseRule(GYROS, _POSITION, 2.0 * _VELOCITY_WASHOUT_S),
     # A tilt that a gyro's fault leaves behind and an accelerometer cannot be told apart in hover.
