@@ -87,8 +87,14 @@ class Given(NamedTuple):
         Row of the sample that completed each (n,); all of them where each is one of those.
     spread : Mapping[str, NDArray[np.float64]]
         Standard deviation of faults that y itself holds an estimate of, by name (n,), in their units.
+    unflown : NDArray[np.bool_] | None
+        Where y is lost because what came is unlike the fitted flights (n,), not for lack of it.
+    beyond : NDArray[np.float64] | None
+        How many times larger sizes are for being unlike the fitted flights (n,).
     """
 
     samples: Samples
     rows: NDArray[np.intp] | slice
     spread: Mapping[str, NDArray[np.float64]] = MappingProxyType({})
+    unflown: NDArray[np.bool_] | None = None
+    beyond: NDArray[np.float64] | None = None

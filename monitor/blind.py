@@ -121,6 +121,10 @@ class EvidenceFlow:
         armed, samples, position = run.estimates.armed, run.estimates.samples, run.position
         self._rows_ns = received(int(position[-1]))
         lost = samples.lost[:, self._inputs :]
+        came = armed
+        if run.unflown is not None:
+            # Telemetry that comes and is unlike the fitted flights lacks nothing.
+            lost, came = lost & ~run.unflown[:, None], armed | run.unflown
         is_lost = bool(lost.any())
         self._lost = tuple(self._labels(lost[-1])) if is_lost else ()
         restarts = samples.restart.nonzero()[0]
@@ -131,14 +135,14 @@ class EvidenceFlow:
                 gone_ns = 0 if group.evidence_ns else min(restart_ns - group.since_ns, self.limit_ns + self.settle_ns)
                 group.granted_ns = max(group.granted_ns, gone_ns + again_ns)
         count = int(np.count_nonzero(armed))
-        if not count:
+        if not came.any():
             return
         second = int(samples.vehicle_time_ns[-1]) // SECOND_NS
         if self._seconds and self._seconds[-1][0] == second:
             count += self._seconds.pop()[1]
         self._seconds.append((second, count))
         for group in self.groups:
-            rows = (armed & ~lost[:, group.columns].all(axis=1) if is_lost else armed).nonzero()[0]
+            rows = (came & ~lost[:, group.columns].all(axis=1) if is_lost else came).nonzero()[0]
             if rows.size:
                 group.since_ns = group.evidence_ns = received(int(position[rows[-1]]))
                 restarted = restarts.size and restarts[-1] > rows[-1]

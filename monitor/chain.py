@@ -171,6 +171,7 @@ class ChainRun:
     # by alarm: the standard deviation of its size (n,), where it is known; and that of a sudden change's (n,)
     sd: Mapping[int, NDArray[np.float64]]
     sudden_sd: NDArray[np.float64] | None
+    unflown: NDArray[np.bool_] | None = None  # rows whose y is lost for being unlike the fitted flights (n,)
 
     def event(self, row: int, alarm: int, code: int) -> AlarmEvent:
         """Return the event that a row caused in an alarm."""
@@ -355,13 +356,13 @@ class ObserverChain:
         for all of them and was entered before.
         """
         raw = samples = self._sampler.supplied(samples, batch, position)
-        samples, rows, spread = self._sampler.run(raw)
-        beyond = None
+        samples, rows, spread, unflown, beyond = self._sampler.run(raw)
         if self._envelope is not None:
             beyond = self._envelope.run(raw, np.arange(len(raw))[rows])
         if not len(samples):
             return None
-        return self.estimate(samples, self._sampler.admitted(samples, phase), position[rows], beyond, spread)
+        run = self.estimate(samples, self._sampler.admitted(samples, phase), position[rows], beyond, spread)
+        return run if unflown is None else replace(run, unflown=unflown)
 
     @property
     def outside(self) -> str | None:

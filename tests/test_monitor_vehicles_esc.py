@@ -239,6 +239,31 @@ def test_commands_that_change_faster_than_was_flown_are_no_evidence_however_samp
         assert np.flatnonzero(lost.any(axis=1)).tolist() == rows
 
 
+@pytest.mark.parametrize("cut", [0, 9, 10, 20])
+def test_beyond_the_commands_that_were_flown_sizes_are_larger_however_samples_are_cut(cut: int) -> None:
+    raw = raw_samples(36)
+    u = np.hstack([np.full((36, 2), 0.5), raw.u[:, 2:]])
+    u[10:15, 1] = 0.8
+    raw = replace(raw, u=u, measured=np.ones(36, bool))
+    transform = EscInputs({**PARAMETERS, "most": 0.6, "doubt": 100.0}, 100.0, 100.0)
+    given = [transform.run(raw.part(*part)) for part in ((0, cut), (cut, 36))]
+    beyond = np.concatenate([part.beyond for part in given if part.beyond is not None])
+    # measurements come a tick later
+    assert beyond == pytest.approx(np.where((np.arange(36) >= 10) & (np.arange(36) <= 15), 5.0, 1.0))
+    assert not any(part.samples.lost.any() for part in given)
+
+
+def test_what_is_lost_for_it_was_never_flown_is_told() -> None:
+    raw = raw_samples(36)
+    u = raw.u.copy()
+    u[9, 1] = 0.1
+    transform = EscInputs({**PARAMETERS, "least": 0.2}, 100.0, 100.0)
+    given = transform.run(replace(raw, u=u, measured=np.ones(36, bool)))
+    assert given.unflown is not None
+    assert given.unflown.any()
+    assert (given.unflown == given.samples.lost.all(axis=1)).all()
+
+
 def test_speeds_that_come_once_a_second_are_not_judged() -> None:
     log = list(flight(1, 40.0, esc_hz=1.0))
     assert fit_esc(FitRequest("quad", [lambda: packed(log)], (survey(packed(log)),)), GateRule()) is None

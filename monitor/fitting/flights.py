@@ -128,8 +128,8 @@ def flight_samples(
 
 def transformed(flight: Flight, transform: Transform) -> Flight:
     """Return the samples that a transform makes of raw ones."""
-    samples, rows, _ = transform.run(flight.samples)
-    return Flight(samples, flight.armed[rows] & ~samples.lost.any(axis=1))
+    given = transform.run(flight.samples)
+    return Flight(given.samples, flight.armed[given.rows] & ~given.samples.lost.any(axis=1))
 
 
 def _by_phase(batches: Iterable[Batch]) -> Iterator[tuple[Batch, FlightPhase]]:

@@ -109,7 +109,9 @@ class _Identified:
     hover: FloatArray  # speeds, then currents, of hovering (m,), rpm and A
     curves: _Curves
     least: float  # smallest command that was flown, the lowest thousandth aside
+    most: float  # largest command that was flown, the highest thousandth aside
     fastest: float  # fastest change of a command that was flown, per second, the highest thousandth aside
+    command: float  # that of hovering
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -122,12 +124,23 @@ class _Identified:
         s = len(self.numbers)
         return replace(self, hover=self.hover[:s], curves=_Curves(*(part[:s] for part in self.curves)))
 
+    @property
+    def doubt(self) -> float:
+        """Return how many times larger errors are per squared command beyond those flown.
+
+        They are twice the deviation with which the bend is filled in (:func:`_regressed`), of a speed that is about in
+        proportion to its command.
+        """
+        return 2.0 / (4.0 * self.command * self.command) / _SMALLEST_SPEED
+
     def parameters(self) -> dict[str, float]:
         """Return the parameters of the transform."""
         return {
             **{f"output{at}": float(n) for at, n in enumerate(self.numbers, start=1)},
             "curves": 2.0,
             "least": _rounded(self.least),
+            "most": _rounded(self.most),
+            "doubt": _rounded(self.doubt),
             "fastest": _rounded(self.fastest),
             "volts": self.volts,
             "delay_s": self.delay_s,
@@ -290,10 +303,10 @@ def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: f
         drawn = _regressed(X, y / amps, rate_hz)
         curves = _Curves(*(np.concatenate(both) for both in zip(curves, drawn, strict=True)))
     numbers = tuple(int(channel.name.removeprefix("motor")) for channel in commands)
-    least = max(float(np.quantile(u, _LEAST_SHARE)), 0.0)
+    least, most = max(float(np.quantile(u, _LEAST_SHARE)), 0.0), float(np.quantile(u, 1.0 - _LEAST_SHARE))
     steps = [np.abs(np.diff(one.samples.u[one.armed, :s], axis=0)).ravel() for one in raw]
     fastest = float(np.quantile(np.concatenate(steps), 1.0 - _LEAST_SHARE)) * signal_hz
-    return _Identified(numbers, volts, delay_s, lag_s, measured, curves, least, fastest)
+    return _Identified(numbers, volts, delay_s, lag_s, measured, curves, least, most, fastest, float(prior_u.mean()))
 
 
 def _means(

@@ -132,7 +132,9 @@ class EscInputs:
         ``rpmN_c3``; the same of ``ampsN`` for all or none; ``curves``: 2, or left out in profiles of old; ``least``:
         smallest command that was flown, 0 where it is left out. Below it the curves were never seen: no evidence.
         ``fastest``: fastest change of a command that was flown, per second, left out for any. Beyond it what a command
-        did between two messages is not known well enough: no evidence either.
+        did between two messages is not known well enough: no evidence either. ``most``: largest command that was flown,
+        left out for any; beyond it sizes are ``doubt`` times the square of the excess larger, as the curve's bend is
+        not known there.
     signal_rate_hz, rate_hz : float
         Raw samples and given samples per second; the first is a whole multiple of the second.
 
@@ -150,7 +152,7 @@ class EscInputs:
         curves = [f"{kind}{n}" for kind in kinds for n in numbers]
         terms_of = (f"{name}_c{term}" for name in curves for term in range(TERMS))
         needed = {"delay_s", "lag_s", "volts", *outputs, *curves, *terms_of}
-        check_parameters("esc", parameters, needed, optional=("curves", "least", "fastest"))
+        check_parameters("esc", parameters, needed, optional=("curves", "least", "fastest", "most", "doubt"))
         if (curves_of := parameters.get("curves", 1.0)) not in (1.0, 2.0):
             raise TelemetryError(f"transform 'esc': 'curves' is {curves_of:g}; 1 or 2")
         self._terms = terms if curves_of == 2.0 else _terms_of_old
@@ -160,6 +162,7 @@ class EscInputs:
         if bad := next((name for name in curves if not 0.0 < parameters[name] < 1e9), None):
             raise TelemetryError(f"transform 'esc': '{bad}' is {parameters[bad]:g}; that of hovering is above 0")
         self._least = parameters.get("least", 0.0)
+        self._most, self._doubt = parameters.get("most", math.inf), parameters.get("doubt", 0.0)
         self._largest_step = parameters.get("fastest", math.inf) / signal_rate_hz
         self._command: Array | None = None
         size = raw_per_sample("esc", signal_rate_hz, rate_hz)
@@ -171,9 +174,10 @@ class EscInputs:
         self._units = np.array([parameters[name] for name in curves])
         self._curves = np.array([[parameters[f"{name}_c{term}"] for term in range(TERMS)] for name in curves])
         self._volts, self._motors, self._raw = parameters["volts"], len(numbers), len(raw)
-        timing = [(parameters["delay_s"], parameters["lag_s"])] * (1 + len(numbers))
-        self._means = HeldMeans(timing, signal_rate_hz, size, 1 + len(curves), len(curves))
+        timing = [(parameters["delay_s"], parameters["lag_s"])] * (2 + len(numbers))
+        self._means = HeldMeans(timing, signal_rate_hz, size, 2 + len(curves), len(curves))
         self._later = OneTickLater()
+        self._beyond = np.ones(1)
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw samples complete; one marked ``restart`` forgets lag and tick."""
@@ -189,13 +193,18 @@ class EscInputs:
         flown = (command >= self._least).all(axis=0) & (samples.restart | (steps <= self._largest_step))
         self._command = command[:, -1:] if len(samples) else self._command
         known = np.asarray(flown, np.float64)
-        given = self._means.run(samples, [known, *expected, *measured], speed)
+        beyond = 1.0 + self._doubt * np.maximum(0.0, command.max(axis=0, initial=0.0) - self._most) ** 2
+        given = self._means.run(samples, [known, beyond, *expected, *measured], speed)
         means = given.samples
-        lost = means.lost[:, 1:] | (means.u[:, :1] < _KNOWN)
-        later = self._later.run(replace(means, u=means.u[:, 1:], lost=lost))
+        lost = means.lost[:, 2:] | (means.u[:, :1] < _KNOWN)
+        later = self._later.run(replace(means, u=means.u[:, 2:], lost=lost))
         if len(later):
             later.y[:, self._motors :] = np.maximum(later.y[:, self._motors :], self._later.u[:, self._motors :])
-        return Given(later, given.rows)
+        # a sample compares what was expected a tick before
+        beyond = np.append(self._beyond, means.u[:, 1])
+        self._beyond = beyond[-1:]
+        unflown = later.lost.all(axis=1) & ~means.lost[:, 2:].any(axis=1)
+        return Given(later, given.rows, unflown=unflown, beyond=np.maximum(beyond[1:], beyond[:-1]))
 
 
 def deviation(volts: Array, usual: float) -> Array:
