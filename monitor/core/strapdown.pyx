@@ -528,7 +528,7 @@ cdef class StrapdownCore:
             steep = level[6] != 0.0
             if steep:
                 # What the compass would have shown meanwhile nothing tells.
-                self._doubt[_MAG], self._unknown[_MAG] = self._longest + 1, True
+                self._unknown[_MAG] = True
             self.follow_field(level, sensors, steep)
             y[k + 3] = self._heading - self._set_back
         if self._navigation is not None:
