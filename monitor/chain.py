@@ -439,8 +439,11 @@ class ObserverChain:
                 scaled[alarm] = commands[fault]
         samples = estimates.samples
         scale = np.maximum(1.0, np.sqrt(found.level)[:, None] * self._healthy)
+        # what no fault explains has errors of all of them in it
+        outside = np.ones(len(samples)) if beyond is None else beyond
         if self._excitation is not None:
             scale[:, self._excited] = self._excitation.run(samples, found.level)[:, 2:]
+            outside = np.maximum(outside, scale[:, self._excited].max(axis=1, initial=1.0))
         if beyond is not None:
             # an edge is judged by what is flat before and after it
             scale = np.where(self._healthy > 0.0, scale * beyond[:, None], scale)
@@ -455,7 +458,7 @@ class ObserverChain:
             samples.restart,
             evidence,
             speaking,
-            scale[:, self._fault_of],
+            np.column_stack([scale[:, self._fault_of], *[outside] * (len(self._alarms) - len(self._faults))]),
             *(() if changes is None else self._named(changes)),
         )
         return ChainRun(

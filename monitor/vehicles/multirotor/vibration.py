@@ -193,6 +193,8 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
     rule = bare_rule(OBSERVER, CLIPPING, "actuator", CLIPS)
     found = healthy_levels(clips, rate_hz, FALSE_ALARMS_PER_HOUR, times)
     clipping = calibrated(rule, found, 1.0, floor=_CLIPPED, critical=_CRITICALLY, times=times)
+    # A slow mean asks for half the size, which of a logarithm is a factor of 1.7: a storm shakes a vehicle as much.
+    alarm = replace(alarm, rule=replace(alarm.rule, slow=max(alarm.rule.slow, alarm.rule.threshold)))
     return replace(
         bare,
         alarms=(alarm, clipping),
