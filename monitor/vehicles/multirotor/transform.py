@@ -203,7 +203,7 @@ class EscInputs:
         # a sample compares what was expected a tick before
         beyond = np.append(self._beyond, means.u[:, 1])
         self._beyond = beyond[-1:]
-        unflown = later.lost.all(axis=1) & ~means.lost[:, 2:].any(axis=1)
+        unflown = np.asarray(later.lost.all(axis=1) & ~means.lost[:, 2:].any(axis=1))
         return Given(later, given.rows, unflown=unflown, beyond=np.maximum(beyond[1:], beyond[:-1]))
 
 
