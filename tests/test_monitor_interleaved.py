@@ -42,11 +42,18 @@ def forged(message: Message, behind_s: float, changes: Mapping[str, float]) -> M
     return replace(message, received_ns=message.received_ns + round(behind_s * 1e9), fields=fields)
 
 
-def attacked(flight: list[Message], name: str, changes: Mapping[str, float], every: int, share: float) -> list[Message]:
+def attacked(
+    flight: list[Message],
+    name: str,
+    changes: Mapping[str, float],
+    every: int,
+    share: float,
+    start_s: float = START_S,
+) -> list[Message]:
     """Return messages with a forged one behind each ``every``-th of a kind, by a share of its period."""
     own = [message for message in flight if message.name == name]
     period_s = (own[-1].received_ns - own[0].received_ns) / 1e9 / len(own)
-    late = [message for message in own if message.received_ns - flight[0].received_ns > START_S * 1e9][::every]
+    late = [message for message in own if message.received_ns - flight[0].received_ns >= start_s * 1e9][::every]
     return in_order([*flight, *(forged(message, share * period_s, changes) for message in late)])
 
 
@@ -91,6 +98,21 @@ def test_a_forged_value_now_and_then_is_an_impostor(
     first = impostors(profile, attacked(flight, name, changes, every, 0.45))[0]
     assert f"{name} came more often than before" in first.message
     assert first.time_ns - flight[0].received_ns < (START_S + limit_s) * 1e9
+
+
+@pytest.mark.parametrize("share", [0.2, 0.45, 0.5])
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [("ATTITUDE", {"roll": 0.2}), ("HIGHRES_IMU", {"xgyro": 0.3}), ("SERVO_OUTPUT_RAW", {"servo1_raw": 150})],
+)
+def test_values_of_two_senders_are_an_impostor_from_the_first_message_on(
+    profile: Profile, flight: list[Message], name: str, changes: Mapping[str, float], share: float
+) -> None:
+    events = events_of(profile, attacked(flight[:8000], name, changes, 1, share, 0.0))
+    first = next(event for event in events if event.channel == "impostor")
+    assert f"{name} came more often than before" in first.message
+    assert first.time_ns - flight[0].received_ns < 2_000_000_000
+    assert not [event for event in events if event.channel.startswith("gyro")]
 
 
 def test_sensors_are_not_accused_beside_the_impostor_but_listed_in_its_alarm(

@@ -23,6 +23,7 @@ cdef class Interleaved:
 
     cdef bint take(self, long long stamp, long long received, const double* row) noexcept
     cdef void clear(self) noexcept
+    cdef int first_rows(self) noexcept
     cdef void follow(self, int at) noexcept
     cdef bint find(self, long long received) noexcept
     cdef bint lately(self, int which, long long received) noexcept

@@ -13,11 +13,12 @@ several times further from the line between these than any of them from that bet
 
 What is usual is followed slowly, and not while there are findings: the period by a median, differences by a mean of
 those that are not zero, as values may be held or counted in steps. A link that changes its rate, or two radios that
-bring the same vehicle's values, duplicates or not, bring no values that contradict each other.
+bring the same vehicle's values, duplicates or not, bring no values that contradict each other. Where the first rows fall into two groups by turns, far apart, the larger group is
+what is usual.
 """
 
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
-from libc.math cimport fabs, fmod
+from libc.math cimport INFINITY, fabs, fmod
 from libc.string cimport memcpy, memmove
 
 cdef enum:
@@ -25,6 +26,8 @@ cdef enum:
     ROWS = 16
     # The row that is judged, two before the newest: as late as a row may come and still have its place.
     JUDGED = 13
+    # Rows of the smaller of two groups among the first. Chosen: as many intruders are an attack.
+    FEWEST = 3
     # Senders who take turns: one forged value beside one to three true ones.
     LAGS = 4
 
@@ -123,7 +126,7 @@ cdef class Interleaved:
         if self._count < ROWS or place < JUDGED:
             return False
         if self._usual == 0.0:
-            self._usual = <double>(self._stamps[ROWS - 1] - self._stamps[0]) / (ROWS - 1)
+            self._usual = <double>(self._stamps[ROWS - 1] - self._stamps[0]) / (self.first_rows() - 1)
         other = self.intrude(
             JUDGED - 1, JUDGED + 1, self._stamps[JUDGED], self._rows + JUDGED * self._width, received
         )
@@ -134,6 +137,35 @@ cdef class Interleaved:
         if not self.lately(FINDINGS // 2, received) and not 0 <= received - self._intruded[INTRUDERS - 1] < WINDOW:
             self.follow(JUDGED)
         return False
+
+    cdef int first_rows(self) noexcept:
+        """Return how many of the first rows one sender sent; learn what is usual where two do by turns, values apart."""
+        cdef double largest, spread, apart, size
+        cdef int[2] last, count
+        cdef int i, at, k, before, turns
+        for i in range(self._width):
+            largest, spread, apart = 0.0, 0.0, INFINITY
+            for at in range(1, ROWS):
+                largest = max(largest, fabs(self.step(at - 1, at, i)))
+            last[0], last[1], count[0], count[1], before, turns = 0, -1, 1, 0, 0, 0
+            for at in range(1, ROWS):
+                size = fabs(self.step(last[0], at, i))
+                if last[1] < 0:
+                    k = size > 0.5 * largest
+                else:
+                    k = fabs(self.step(last[1], at, i)) < size
+                if count[k]:
+                    spread = max(spread, fabs(self.step(last[k], at, i)))
+                last[k] = at
+                count[k] += 1
+                turns += k != before
+                before = k
+                if last[1] >= 0:
+                    apart = min(apart, fabs(self.step(last[0], last[1], i)))
+            if apart > FAR * spread > 0.0 and min(count[0], count[1]) >= FEWEST and turns >= KEPT:
+                self._typical[i] = spread
+                return max(count[0], count[1])
+        return ROWS
 
     cdef void follow(self, int at) noexcept:
         """Follow what is usual."""
