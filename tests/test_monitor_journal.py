@@ -322,6 +322,22 @@ def test_a_damaged_journal_is_set_aside_and_a_new_one_begun(path: Path, how: str
         assert journal.set_aside is None
 
 
+@pytest.mark.parametrize("endings", [("",), ("", "-wal"), ("", "-wal", "-shm")])
+def test_another_journal_is_begun_where_the_open_one_is_moved_away(
+    path: Path, endings: tuple[str, ...], caplog: pytest.LogCaptureFixture
+) -> None:
+    with opened(path) as journal:
+        journal.write(event(1))
+        for ending in endings:
+            Path(f"{path}{ending}").rename(f"{path}.old{ending}")
+        journal.retry()
+        assert "was deleted or moved away: another one is begun" in caplog.text
+        journal.write(event(2))
+        assert seqs(journal) == [2]
+    with opened(path) as journal:
+        assert seqs(journal) == [2]
+
+
 def test_an_event_that_a_disk_has_changed_does_not_hide_the_others(path: Path) -> None:
     with opened(path) as journal:
         journal.write(event(1, "motor1"))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import logging
 import math
 import os
 import sqlite3
@@ -164,6 +165,8 @@ class Journal:
     of an alarm that is not cleared. A damaged journal is moved to the path ``set_aside`` at the start, and this one
     begins empty.
 
+    Where the file is deleted or moved away, the next :meth:`retry` begins another one.
+
     Raises
     ------
     StorageError
@@ -183,6 +186,7 @@ class Journal:
         self._counts = dict.fromkeys(("written", "duplicates", "conflicts", "rejected", "dropped", "pruned"), 0)
         self._last_error: str | None = None
         self._connection: sqlite3.Connection | None = None
+        self._file: tuple[int, int] | None = None  # which file is open, by device and number
         self._events = 0
         with self._lock:
             self._open()
@@ -217,6 +221,9 @@ class Journal:
     def retry(self) -> int:
         """Write some of the pending events, the oldest first; return how many are still pending."""
         with self._lock:
+            if self._connection is not None and _identity(self._path) != self._file:
+                logging.getLogger(__name__).error("%s was deleted or moved away: another one is begun", self._path)
+                self._disconnect()
             if self._connection is None:
                 try:
                     self._open()
@@ -289,10 +296,13 @@ class Journal:
             self.retry()
         with self._lock:
             self._commit_shelved()
-            if self._connection is not None:
-                with contextlib.suppress(sqlite3.Error):
-                    self._connection.close()
-                self._connection = None
+            self._disconnect()
+
+    def _disconnect(self) -> None:
+        if self._connection is not None:
+            with contextlib.suppress(sqlite3.Error):
+                self._connection.close()
+            self._connection = None
 
     def _open(self) -> None:
         try:
@@ -302,6 +312,7 @@ class Journal:
                 self.set_aside = set_aside(self._path)
                 self._last_error = f"{self._path}: damaged ({error}), set aside as {self.set_aside.name}"
                 self._connection = open_database(self._path)
+            self._file = _identity(self._path)
             self._events = self._connection.execute("SELECT count(*) FROM event").fetchone()[0]
             self._restore()
         except sqlite3.Error as error:
@@ -451,6 +462,15 @@ class Journal:
     def _reject(self, what: str) -> None:
         self._counts["rejected"] += 1
         self._last_error = f"{self._path}: cannot hold {what}"
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Return the device and number of a file; None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _row_of(line: bytes) -> JournalRow | None:
