@@ -322,6 +322,19 @@ def test_a_damaged_journal_is_set_aside_and_a_new_one_begun(path: Path, how: str
         assert journal.set_aside is None
 
 
+@pytest.mark.parametrize("left", [0, 100, 16384])
+def test_an_index_that_another_program_cut_is_made_anew(path: Path, left: int) -> None:
+    with opened(path) as journal:
+        journal.write(event(1))
+        journal.retry()
+        os.truncate(f"{path}-shm", left)
+        journal.retry()
+        journal.write(event(2))
+        assert seqs(journal) == [1, 2]
+    with opened(path) as journal:
+        assert seqs(journal) == [1, 2]
+
+
 @pytest.mark.parametrize("endings", [("",), ("", "-wal"), ("", "-wal", "-shm")])
 def test_another_journal_is_begun_where_the_open_one_is_moved_away(
     path: Path, endings: tuple[str, ...], caplog: pytest.LogCaptureFixture

@@ -187,6 +187,7 @@ class Journal:
         self._last_error: str | None = None
         self._connection: sqlite3.Connection | None = None
         self._file: tuple[int, int] | None = None  # which file is open, by device and number
+        self._index_bytes = 0  # longest index of its write-ahead log so far
         self._events = 0
         with self._lock:
             self._open()
@@ -224,6 +225,7 @@ class Journal:
             if self._connection is not None and _identity(self._path) != self._file:
                 logging.getLogger(__name__).error("%s was deleted or moved away: another one is begun", self._path)
                 self._disconnect()
+            self._keep_index()
             if self._connection is None:
                 try:
                     self._open()
@@ -298,6 +300,22 @@ class Journal:
             self._commit_shelved()
             self._disconnect()
 
+    def _keep_index(self) -> None:
+        """Make the log's index as long as it was where another program cut it, empty, so that SQLite fills it anew.
+
+        SQLite maps it into memory, and a process that reads behind the end of what it maps is ended by a signal.
+        """
+        index = Path(f"{self._path}-shm")
+        try:
+            size = index.stat().st_size
+            if size < self._index_bytes:
+                os.truncate(index, 0)
+                os.truncate(index, self._index_bytes)
+                logging.getLogger(__name__).error("%s was cut: it is made anew", index)
+            self._index_bytes = max(size, self._index_bytes)
+        except OSError:
+            return
+
     def _disconnect(self) -> None:
         if self._connection is not None:
             with contextlib.suppress(sqlite3.Error):
@@ -312,7 +330,7 @@ class Journal:
                 self.set_aside = set_aside(self._path)
                 self._last_error = f"{self._path}: damaged ({error}), set aside as {self.set_aside.name}"
                 self._connection = open_database(self._path)
-            self._file = _identity(self._path)
+            self._file, self._index_bytes = _identity(self._path), 0
             self._events = self._connection.execute("SELECT count(*) FROM event").fetchone()[0]
             self._restore()
         except sqlite3.Error as error:
