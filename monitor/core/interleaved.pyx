@@ -13,8 +13,8 @@ several times further from the line between these than any of them from that bet
 
 What is usual is followed slowly, and not while there are findings: the period by a median, differences by a mean of
 those that are not zero, as values may be held or counted in steps. A link that changes its rate, or two radios that
-bring the same vehicle's values, duplicates or not, bring no values that contradict each other. Where the first rows fall into two groups by turns, far apart, the larger group is
-what is usual.
+bring the same vehicle's values, duplicates or not, bring no values that contradict each other. Where the
+first rows fall into two groups by turns, far apart, the larger group is what is usual.
 """
 
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
@@ -139,7 +139,7 @@ cdef class Interleaved:
         return False
 
     cdef int first_rows(self) noexcept:
-        """Return how many of the first rows one sender sent; learn what is usual where two do by turns, values apart."""
+        """Return how many of the first rows one sender sent; learn what is usual where two do by turns."""
         cdef double largest, spread, apart, size
         cdef int[2] last, count
         cdef int i, at, k, before, turns

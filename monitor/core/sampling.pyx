@@ -92,7 +92,7 @@ cdef nanoseconds _CONTEST = 10 * _SECOND
 cdef int _RIVALS = 3
 # A vehicle that was switched off is silent for longer; the longest silence of a radio was 2.5 s.
 cdef nanoseconds _AWAY = 3 * _SECOND
-# Of two clocks the one before is heard within this time. Chosen: a vehicle that is watched stamps five messages a second.
+# The clock before another is heard within this time. Chosen: a watched vehicle stamps five messages a second.
 cdef nanoseconds _HEARD = 200 * _MILLISECOND
 # Chosen: after a longer silence nothing of what was estimated before it is of use, so starting anew costs nothing.
 cdef nanoseconds _JUMP = 10 * _SECOND
@@ -192,7 +192,8 @@ cdef class VehicleClock:
 
     Belief. A stamp within 1 s of the newest one, before or after, is believed at once. One further away is
     believed only when the next message has another stamp near it (at most 1 s before or 10 s after), so a
-    single damaged stamp changes nothing, and when none near the newest came for 0.2 s, so another sender's do not either. Once believed, a step back of more than 1 s is a reboot and a step
+    single damaged stamp changes nothing, and when none near the newest came for 0.2 s, so another sender's do
+    not either. Once believed, a step back of more than 1 s is a reboot and a step
     ahead of more than 10 s a clock that was set: both start the clock anew and count in ``boot``.
 
     Contests. Far stamps that go on as fast as time while near ones of the same channel come in between are another
