@@ -349,7 +349,15 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
     hypotheses = bank or ((),)
     model = folder / f"{name}.model.toml"
     paths = [folder / file for file in gains_file_names(name, bank or ())]
-    gains = tuple(_read_gains(path, model, faults, files) for path, faults in zip(paths, hypotheses, strict=True))
+    for path in (model, *paths):
+        if not path.is_file():
+            raise ProfileError(f"{path}: file is missing; the profile needs it")
+        files[path.name] = path.read_bytes()
+    try:
+        plant = read_model(model)
+        gains = tuple(_read_gains(path, model, plant, faults) for path, faults in zip(paths, hypotheses, strict=True))
+    except ModelError as error:
+        raise ProfileError(*error.args) from error
     shared = gains[0]
     for path, found in zip(paths, gains, strict=True):
         if _signals(found) != _signals(shared):
@@ -371,26 +379,18 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         envelope=read_envelope(table.table("envelope")) if table.has("envelope") else None,
         spread=_spread(table.table("spread"), {channel.name for channel in faults}),
         supply=read_supply(table.table("supply")) if table.has("supply") else None,
-        model=read_model(model),
+        model=plant,
     )
     table.done()
     return observer
 
 
-def _read_gains(path: Path, model_path: Path, faults: Sequence[str], files: dict[str, bytes]) -> Gains:
+def _read_gains(path: Path, model_path: Path, plant: Plant, faults: Sequence[str]) -> Gains:
     """Read gains of the model beside them, for these faults where any are named."""
-    for file in (model_path, path):
-        if not file.is_file():
-            raise ProfileError(f"{file}: file is missing; the profile needs it")
-        files[file.name] = file.read_bytes()
-    try:
-        gains = read_gains(path)
-        found = model_hash(read_model(model_path))
-    except ModelError as error:
-        raise ProfileError(*error.args) from error
+    gains = read_gains(path)
     if faults and set(gains.faults) != set(faults):
         raise ProfileError(f"{path}: estimates {', '.join(gains.faults)}, not {', '.join(faults)}")
-    if found != gains.model_hash:
+    if model_hash(plant) != gains.model_hash:
         only = f" --faults {','.join(faults)}" if faults else ""
         mend = f"fauio design {model_path}{only} -o {path}"
         raise ProfileError(f"{path}: designed for another version of {model_path.name}; run '{mend}'")

@@ -37,6 +37,8 @@ _LONGEST_S = 60.0
 """Longest wait, seconds. Chosen: a longer wait would leave little of a flight to watch."""
 
 
+# As of :func:`stack_layout`, of which each bank has several.
+@functools.lru_cache(maxsize=64)
 def settling_s(gains: Gains) -> float:
     """Return the time after which a wrong start moves no fault estimate by more than a twentieth of its largest error.
 
@@ -88,7 +90,6 @@ _PRIOR_S = 1.0
 a longer time shows estimates after a restart as more uncertain, and for longer."""
 
 
-# As of :func:`stack_layout`, of which each bank has several.
 @functools.lru_cache(maxsize=64)
 def error_system(gains: Gains, plant: Plant) -> ErrorSystem:
     """Return the error system of one observer on a sampled plant, which may have more faults than the observer.
