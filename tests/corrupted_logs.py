@@ -5,6 +5,7 @@ A kind is an entry of :data:`KINDS`: its suffix and what writes one; :func:`bloc
 
 from __future__ import annotations
 
+import functools
 import gzip
 import lzma
 import random
@@ -25,41 +26,49 @@ from onboard_flights import dataflash_of, ulog_of
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.tlog import read_tlog
 from adapters.message import Message as Telemetry
-from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
 from adapters.simulation.arm_source import arm_messages, arm_packets
 
 START_NS = 1_795_251_917_000_000_000
 CHUNK_BYTES = 4000
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
-RUN = simulate_arm(SCENARIOS["healthy"], 6.0, 100.0, "zero")
+
+
+@functools.cache
+def _run() -> ArmRun:
+    return simulate_arm(SCENARIOS["healthy"], 6.0, 100.0, "zero")
+
+
+@functools.cache
+def _flight() -> list[Telemetry]:
+    # without a position fix: the times of all messages hang on the first one
+    return [one for one in islice(read_tlog(FLIGHT), 1300) if one.name != "GPS_RAW_INT"]
 
 
 def _tlog(path: Path) -> None:
-    path.write_bytes(b"".join(((START_NS + t) // 1000).to_bytes(8) + packet for t, packet in arm_packets(RUN)))
+    path.write_bytes(b"".join(((START_NS + t) // 1000).to_bytes(8) + packet for t, packet in arm_packets(_run())))
 
 
 def _ours(path: Path) -> None:
     with MessageLogWriter(path) as log:
-        for number, message in enumerate(arm_messages(RUN, START_NS)):
+        for number, message in enumerate(arm_messages(_run(), START_NS)):
             log.write(message)
             if number % 50 == 0:
                 log.flush()
 
 
 def _onboard(write: Callable[[list[Telemetry], Path], Path]) -> Callable[[Path], None]:
-    # without a position fix: the times of all messages hang on the first one
-    flight = [one for one in islice(read_tlog(FLIGHT), 1300) if one.name != "GPS_RAW_INT"]
-    return lambda path: ignore(write(flight, path))
+    return lambda path: ignore(write(_flight(), path))
 
 
 def _ros2(compression: str) -> Callable[[Path], None]:
     return lambda path: ignore(
-        ros2_bag(path, {ARM_TOPIC: (ARM_TYPE, ARM_DEFINITION, arm_rows(RUN))}, compression, CHUNK_BYTES)
+        ros2_bag(path, {ARM_TOPIC: (ARM_TYPE, ARM_DEFINITION, arm_rows(_run()))}, compression, CHUNK_BYTES)
     )
 
 
 def _unchunked(path: Path) -> None:
-    rows = ((time_ns, str(fields).replace("'", '"').encode()) for time_ns, fields in arm_rows(RUN))
+    rows = ((time_ns, str(fields).replace("'", '"').encode()) for time_ns, fields in arm_rows(_run()))
     mcap_log(path, ARM_TOPIC, ("Arm", "jsonschema", b"{}"), "json", rows, "none", use_chunking=False)
 
 
@@ -73,8 +82,8 @@ KINDS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "ros2": (".mcap", _ros2("zstd")),
     "ros2-lz4": (".mcap", _ros2("lz4")),
     "ros2-plain": (".mcap", _ros2("none")),
-    "json": (".mcap", lambda path: ignore(json_log(path, ARM_TOPIC, arm_rows(RUN), chunk_bytes=CHUNK_BYTES))),
-    "protobuf": (".mcap", lambda path: ignore(protobuf_log(path, arm_rows(RUN), "lz4", CHUNK_BYTES))),
+    "json": (".mcap", lambda path: ignore(json_log(path, ARM_TOPIC, arm_rows(_run()), chunk_bytes=CHUNK_BYTES))),
+    "protobuf": (".mcap", lambda path: ignore(protobuf_log(path, arm_rows(_run()), "lz4", CHUNK_BYTES))),
     "unchunked": (".mcap", _unchunked),
     "ulog": (".ulg", _onboard(ulog_of)),
     "dataflash": (".bin", _onboard(dataflash_of)),

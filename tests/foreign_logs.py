@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -15,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2.writer import Writer as Ros2Writer
 
 from adapters.encoding.message_definition import find_definition
-from adapters.simulation.arm import ArmRun
+from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
 from monitor.profile import Profile
 
 START_NS = 1_795_251_917_000_000_000
@@ -41,6 +42,12 @@ Rows = Iterable[tuple[int, dict[str, Any]]]
 
 def stamp(time_ns: int) -> dict[str, int]:
     return {"sec": time_ns // 1_000_000_000, "nanosec": time_ns % 1_000_000_000}
+
+
+@functools.cache
+def tracked() -> ArmRun:
+    """Return 12 s of the arm's second case as it tracks; nobody may change it."""
+    return simulate_arm(SCENARIOS["case2"], 12.0, 100.0, "tracking")
 
 
 def arm_rows(run: ArmRun) -> Iterator[tuple[int, dict[str, Any]]]:

@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from adapters.errors import UsageError
 from adapters.simulation import arm
@@ -31,6 +30,8 @@ def simulated(name: str) -> ArmRun:
 
 def reference(run: ArmRun, scenario: ArmScenario, k: int) -> NDArray[np.float64]:
     """Integrate from sample k to k + 1 with DOP853 and the matrices, in pieces between the jumps of f_a."""
+    from scipy.integrate import solve_ivp
+
     faults = [fault for fault in scenario.faults if fault.channel == "f_a"]
     first, last = float(run.t[k]), float(run.t[k + 1])
     edges = sorted({edge for fault in faults for edge in (fault.start_s, fault.stop_s) if first < edge < last})

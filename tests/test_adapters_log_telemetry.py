@@ -8,7 +8,7 @@ from math import cos, isnan, pi, radians, sin
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from onboard_flights import messages_of
 
@@ -323,7 +323,6 @@ def test_a_message_of_a_topic_with_another_clock_has_the_logs_time(stamp_us: int
 STEPS = st.integers(-40, 400)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     drawn=st.lists(
         st.tuples(st.sampled_from(["rates", "attitude", "imu", "field"]), st.integers(-40, 400), st.booleans()),

@@ -16,7 +16,7 @@ import pytest
 import test_adapters_dataflash
 import test_adapters_ulog
 from dataflash_writer import DataflashWriter
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from onboard_flights import messages_of
 from ulog_writer import UlogWriter
@@ -105,7 +105,6 @@ def test_only_the_wanted_records_are_read(kind: Kind, folder: Path) -> None:
     assert keys(found) == keys(wanted)
 
 
-@settings(max_examples=40, deadline=None)
 @given(size=st.integers(1, 3_000))
 def test_however_a_log_is_cut_into_batches_its_messages_are_the_same(kind: Kind, folder: Path, size: int) -> None:
     expected = whole(kind, folder)
@@ -137,7 +136,6 @@ def test_compressed_logs_read_like_plain_ones(kind: Kind, folder: Path, suffix: 
     assert scan_damage(path.name, reader.statistics()) is None
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_a_truncated_log_gives_every_message_before_the_end(kind: Kind, folder: Path, data: st.DataObject) -> None:
     # behind the first record with a time, which says when the log begins
@@ -151,7 +149,6 @@ def test_a_truncated_log_gives_every_message_before_the_end(kind: Kind, folder: 
     assert statistics.skipped_bytes == cut - complete[-1]
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_damage_costs_no_message_before_it_and_reading_goes_on_behind_it(
     kind: Kind, folder: Path, data: st.DataObject
@@ -169,7 +166,6 @@ def test_damage_costs_no_message_before_it_and_reading_goes_on_behind_it(
     assert statistics.records <= len(kind.ends) + 300
 
 
-@settings(max_examples=40, deadline=None)
 @given(junk=st.binary(max_size=600))
 def test_whatever_stands_behind_the_head_of_a_file_is_no_crash(kind: Kind, folder: Path, junk: bytes) -> None:
     with contextlib.suppress(TelemetryError):

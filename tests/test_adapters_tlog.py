@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from onboard_flights import messages_of
 
@@ -94,7 +94,6 @@ def test_times_are_nanoseconds_since_1970() -> None:
 
 
 @given(st.integers(1, len(RAW) - 1))
-@settings(max_examples=40, deadline=None)
 def test_a_truncated_log_gives_every_message_before_its_end(tmp_path_factory: pytest.TempPathFactory, cut: int) -> None:
     messages, found = read_or_nothing(tmp_path_factory.mktemp("cut"), RAW[:cut])
     whole, size = 0, 0
@@ -115,7 +114,6 @@ def read_or_nothing(folder: Path, raw: bytes) -> tuple[list[Message], TlogStatis
 
 
 @given(st.integers(0, len(RAW) - 1), st.integers(1, 2000), st.randoms(use_true_random=False))
-@settings(max_examples=40, deadline=None)
 def test_damage_costs_no_message_outside_of_it(
     tmp_path_factory: pytest.TempPathFactory, start: int, size: int, random: Any
 ) -> None:

@@ -102,7 +102,6 @@ def damaged(draw: random.Random, raw: bytes) -> bytes:
     st.sampled_from((1, 999, 4_096, 1 << 20)),
     st.booleans(),
 )
-@settings(max_examples=120, deadline=None)
 def test_blocks_say_what_the_reader_says_whatever_the_log_holds(
     tmp_path_factory: pytest.TempPathFactory,
     draw: random.Random,

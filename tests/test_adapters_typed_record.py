@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -43,7 +43,6 @@ def read_back(source: Source, name: str, schema: Schema) -> TypedRecords:
     return TypedRecords(source, name, class_from_schema(schema))
 
 
-@settings(max_examples=60, deadline=None)
 @given(fields=FIELDS)
 def test_any_record_comes_back_as_it_was(fields: dict[str, Any]) -> None:
     schema, data = to_protobuf(Message(ULOG, "topic/1", 5, fields))
@@ -126,7 +125,6 @@ def same(left: Any, right: Any) -> bool:
     return type(left) is type(right) and left == right
 
 
-@settings(max_examples=25, deadline=None)
 @given(payload=st.binary(min_size=LARGEST, max_size=LARGEST))
 @example(payload=b"\xff" * LARGEST)
 @example(payload=b"\x00" * LARGEST)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from gains.identification.coloured_noise import autoregression, known_before, whitened
 
@@ -11,6 +10,8 @@ TRUE = np.array([1.5, -0.56])
 
 
 def coloured(count: int, seed: int) -> NDArray[np.float64]:
+    from scipy.signal import lfilter
+
     return np.asarray(lfilter([1.0], np.append(1.0, -TRUE), np.random.default_rng(seed).normal(size=count)))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cuts import cuts, same_bits
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -64,7 +64,6 @@ def test_a_linear_input_only_changes_units() -> None:
 
 @pytest.mark.parametrize("curve", CURVES.values(), ids=len)
 @pytest.mark.parametrize("name", ["motors", "inertial"])
-@settings(max_examples=25, deadline=None)
 @given(
     parts=cuts(COUNT),
     seed=st.integers(0, 10**6),

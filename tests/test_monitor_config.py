@@ -296,7 +296,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.dictionaries(st.sampled_from([*entries(Config), "unknown"]), VALUES, max_size=6))
 def test_any_content_is_read_or_every_line_of_the_error_names_a_key(tmp_path: Path, content: dict[str, Any]) -> None:
     import tomli_w

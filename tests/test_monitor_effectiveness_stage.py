@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from cuts import cuts, same_bits
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -156,7 +156,6 @@ def driven(seed: int) -> tuple[Samples, Array, NDArray[np.bool_]]:
     return samples, fault, rng.random(LONG) < 0.97
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     parts=cuts(LONG),
     seed=st.integers(0, 10**6),

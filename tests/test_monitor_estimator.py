@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cuts import cuts, same_bits
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -84,7 +84,6 @@ def flight(rng: np.random.Generator, count: int) -> Samples:
 
 
 @given(kind=st.sampled_from(["bank", "bank", "single", "independent"]), seed=st.integers(0, 100_000), parts=cuts(500))
-@settings(max_examples=40)
 def test_cuts_do_not_change_a_bit(gains: tuple[Gains, ...], kind: str, seed: int, parts: list[slice]) -> None:
     samples = flight(np.random.default_rng(seed), 500)
     armed = np.arange(500) > 50

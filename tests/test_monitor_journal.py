@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from loopback import event
 
@@ -93,7 +93,6 @@ EVENTS = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None)
 @given(given_events=st.lists(EVENTS, max_size=25))
 def test_any_sequence_of_events_gives_the_active_set_of_a_dictionary(
     tmp_path_factory: pytest.TempPathFactory, given_events: list[module.AlarmEvent]

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from loopback import START_NS
 from synthetic_run import LAYOUT, THRESHOLDS, estimates, event
@@ -102,7 +102,6 @@ values = st.recursive(
 )
 
 
-@settings(max_examples=40)
 @given(st.lists(st.dictionaries(st.text(max_size=3), values, max_size=5), max_size=4))
 def test_fields_of_any_form_are_taken(messages: list[dict[str, Any]]) -> None:
     shown = view()

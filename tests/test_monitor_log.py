@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from loopback import event, until
 
@@ -115,7 +115,6 @@ def test_names_without_end_take_memory_with_one() -> None:
         assert len(log._handler._limit._buckets) == module.MAX_NAMES
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.text(), st.booleans())
 def test_nothing_from_a_network_drives_the_terminal(text: str, as_json: bool) -> None:
     stream = io.StringIO()

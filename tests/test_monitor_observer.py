@@ -107,7 +107,6 @@ def test_random_observers_are_their_recursions(seed: int, outputs: int, states: 
     restarts=st.lists(st.integers(0, COUNT - 1), max_size=3),
     linear=st.booleans(),
 )
-@settings(max_examples=40)
 def test_cuts_do_not_change_a_bit(
     nonlinear: tuple[Gains, ...],
     delayed: tuple[Gains, ...],

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from cuts import cuts
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_monitor_coasting import plant
 
@@ -64,7 +64,6 @@ def test_without_a_model_it_is_not_known(gains: Gains) -> None:
     assert np.isnan(shown.run(np.array([True, False, True]), np.array([True, False, False]))).all()
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     parts=cuts(400),
     restarts=st.lists(st.integers(0, 399), max_size=3),

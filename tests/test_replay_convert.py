@@ -17,6 +17,7 @@ from foreign_logs import (
     json_log,
     protobuf_log,
     ros2_bag,
+    tracked,
     write_foreign_profile,
 )
 from mcap.reader import make_reader
@@ -26,16 +27,13 @@ from mcap_ros2.decoder import DecoderFactory
 import fauio
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
-from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.source import ZENOH
 from monitor.profile import Profile
 
-RUN = simulate_arm(SCENARIOS["case2"], 12.0, 100.0, "tracking")
-
 WRITERS: dict[str, Callable[[Path], Path]] = {
-    "ros2": lambda path: ros2_bag(path, {ARM_TOPIC: (ARM_TYPE, ARM_DEFINITION, arm_rows(RUN))}),
-    "json": lambda path: json_log(path, ARM_TOPIC, arm_rows(RUN)),
-    "protobuf": lambda path: protobuf_log(path, arm_rows(RUN)),
+    "ros2": lambda path: ros2_bag(path, {ARM_TOPIC: (ARM_TYPE, ARM_DEFINITION, arm_rows(tracked()))}),
+    "json": lambda path: json_log(path, ARM_TOPIC, arm_rows(tracked())),
+    "protobuf": lambda path: protobuf_log(path, arm_rows(tracked())),
 }
 
 
@@ -73,7 +71,7 @@ def test_a_copied_bag_is_decoded_by_others_as_before(tmp_path: Path, capsys: pyt
     out = converted(WRITERS["ros2"](tmp_path / "log.mcap"), capsys)
     with out.open("rb") as stream:
         decoded = next(make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
-    assert list(decoded.decoded_message.y) == RUN.y[0].tolist()
+    assert list(decoded.decoded_message.y) == tracked().y[0].tolist()
 
 
 def test_topics_of_any_encoding_and_of_several_schemas_are_copied(

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -81,7 +81,6 @@ def flights(draw: st.DrawFn) -> list[NDArray[np.float64]]:
     return [np.maximum(rng.exponential(size=length) - floor, 0.0) for length in lengths]
 
 
-@settings(max_examples=30, deadline=None)
 @given(flights(), st.floats(1e-4, 1e4), st.floats(1.0, 1e3))
 def test_rarer_alarms_need_higher_levels(series: list[NDArray[np.float64]], rate: float, factor: float) -> None:
     often, seldom = (return_level(series, RATE_HZ, r) for r in (rate * factor, rate))
@@ -90,7 +89,6 @@ def test_rarer_alarms_need_higher_levels(series: list[NDArray[np.float64]], rate
     assert often.peaks == seldom.peaks
 
 
-@settings(max_examples=30, deadline=None)
 @given(flights(), st.floats(1e-6, 1e6))
 def test_levels_scale_with_the_data(series: list[NDArray[np.float64]], factor: float) -> None:
     one = return_level(series, RATE_HZ, 0.1)
@@ -100,7 +98,6 @@ def test_levels_scale_with_the_data(series: list[NDArray[np.float64]], factor: f
     )
 
 
-@settings(max_examples=30, deadline=None)
 @given(flights(), st.floats(1e-4, 1e4), st.floats(0.5, 0.99))
 def test_a_level_is_never_below_what_was_seen_and_never_absurd(
     series: list[NDArray[np.float64]], rate: float, confidence: float
@@ -174,7 +171,6 @@ def test_what_cannot_be_extrapolated_is_refused(
         return_level(series, rate_hz, alarms, confidence)
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 20), st.floats(0.05, 3.0))
 def test_an_alarm_is_raised_first_where_the_standing_size_reaches_its_threshold(
     seed: int, samples: int, threshold: float

@@ -20,6 +20,7 @@ from foreign_logs import (
     json_log,
     protobuf_log,
     ros2_bag,
+    tracked,
     write_foreign_profile,
 )
 from mcap_ros2._dynamic import serialize_dynamic
@@ -27,13 +28,11 @@ from mcap_ros2._dynamic import serialize_dynamic
 import fauio
 from adapters.logs.mcap_reader import read_mcap_messages
 from adapters.message import Message
-from adapters.simulation.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, simulate_arm
+from adapters.simulation.arm import ArmFault, ArmRun, ArmScenario, simulate_arm
 from adapters.source import ZENOH
 from adapters.zenoh.zenoh_payload import PayloadDecoder
 from monitor.profile import Profile, read_profile
 from replay.player import play
-
-RUN = simulate_arm(SCENARIOS["case2"], 12.0, 100.0, "tracking")
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +44,7 @@ def folder(arm_profile: Profile, tmp_path_factory: pytest.TempPathFactory) -> Pa
 @pytest.fixture(scope="module")
 def expected(folder: Path) -> list[dict[str, Any]]:
     """Return the alarm events of the run as a subscription over Zenoh delivers it."""
-    messages = [Message(ZENOH, "arm/sample", time_ns, fields) for time_ns, fields in arm_rows(RUN)]
+    messages = [Message(ZENOH, "arm/sample", time_ns, fields) for time_ns, fields in arm_rows(tracked())]
     events = play(read_profile(folder), messages).events
     assert (events[0].channel, events[0].state) == ("motor", "raised")
     return [event.to_json() for event in events]
@@ -58,7 +57,7 @@ def replayed(folder: Path, log: Path, capsys: pytest.CaptureFixture[str]) -> dic
 
 
 def bag(path: Path, compression: str) -> Path:
-    return ros2_bag(path, {ARM_TOPIC: (ARM_TYPE, ARM_DEFINITION, arm_rows(RUN))}, compression)
+    return ros2_bag(path, {ARM_TOPIC: (ARM_TYPE, ARM_DEFINITION, arm_rows(tracked()))}, compression)
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
@@ -66,8 +65,8 @@ def bag(path: Path, compression: str) -> Path:
     "write",
     [
         bag,
-        lambda path, how: json_log(path, ARM_TOPIC, arm_rows(RUN), how),
-        lambda path, how: protobuf_log(path, arm_rows(RUN), how),
+        lambda path, how: json_log(path, ARM_TOPIC, arm_rows(tracked()), how),
+        lambda path, how: protobuf_log(path, arm_rows(tracked()), how),
     ],
     ids=["ros2", "json", "protobuf"],
 )
@@ -89,14 +88,14 @@ def test_a_converted_bag_replays_to_the_same_alarms(
 ) -> None:
     path, out = bag(tmp_path / "bag.mcap", "lz4"), tmp_path / "out.mcap"
     assert fauio.main(["convert", str(path), "-o", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["messages"] == len(RUN.t)
+    assert json.loads(capsys.readouterr().out)["messages"] == len(tracked().t)
     assert replayed(folder, out, capsys)["alarms"] == expected
 
 
 def test_a_bag_names_its_messages_as_ros_2_over_zenoh_does(tmp_path: Path) -> None:
     message = next(iter(read_mcap_messages(bag(tmp_path / "bag.mcap", "none"))))
     (tmp_path / "ArmSample.msg").write_text(ARM_DEFINITION.partition("=")[0])
-    _, fields = next(arm_rows(RUN))
+    _, fields = next(arm_rows(tracked()))
     payload = bytes(serialize_dynamic(ARM_TYPE, ARM_DEFINITION)[ARM_TYPE](fields))
     decoder = PayloadDecoder(definitions=[tmp_path])
     key = "0/arm/sample/arm_msgs::msg::dds_::ArmSample_/RIHS01_ab12"

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import fauio
@@ -283,7 +283,6 @@ SIZES = {
 }
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     channel=st.sampled_from([name for name in INSTRUMENTS if name != "compass"]),
     kind=st.sampled_from(sorted(SIZES)),
