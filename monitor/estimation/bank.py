@@ -137,7 +137,7 @@ class Bank:
         members = np.array([[name in hypothesis.faults for name in faults] for hypothesis in hypotheses])
         p = len(rule.covariances[0])
         self._choice = Choice(
-            whitening=whitening(rule.covariances),
+            whitening=whitening(rule.covariances, smallest(rule.hypotheses)),
             spans=spans,
             channel=[faults.index(name) for hypothesis in hypotheses for name in hypothesis.faults],
             shown=[
@@ -199,13 +199,23 @@ def owners(hypotheses: Sequence[FaultSet], faults: Sequence[str]) -> list[int]:
     ]
 
 
-def whitening(covariances: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+def smallest(hypotheses: Sequence[Sequence[str]]) -> NDArray[np.bool_]:
+    """Return which hypotheses contain no other one (K,)."""
+    sets = [set(faults) for faults in hypotheses]
+    return np.array([not any(other < faults for other in sets) for faults in sets])
+
+
+def whitening(
+    covariances: Sequence[NDArray[np.float64]], measure: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
     """Return W_k (p, p) of each covariance with W_k' W_k = S_k^-1, stacked.
 
     Directions in which a residual cannot move count nothing: a sensor fault takes up all that its output does, so the
-    residual under its hypothesis has no part there.
+    residual under its hypothesis has no part there. ``measure`` says of which hypotheses (K,) the residuals tell how
+    large an output's are (all).
     """
-    scale = np.sqrt(np.max([np.diag(covariance) for covariance in covariances], axis=0))
+    diagonals = np.array([np.diag(covariance) for covariance in covariances])
+    scale = np.sqrt(diagonals[slice(None) if measure is None else measure].max(axis=0))
     stacked = np.zeros((len(covariances), len(scale), len(scale)))
     for W, covariance in zip(stacked, covariances, strict=True):
         values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))

@@ -13,7 +13,7 @@ from monitor.chain import ObserverChain
 from monitor.core.lagged import exponential_mean
 from monitor.core.sampling import VehicleClock
 from monitor.estimation.affine import AffineObserver
-from monitor.estimation.bank import whitening
+from monitor.estimation.bank import smallest, whitening
 from monitor.estimation.isolation_rule import LEVEL_S, BankRule
 from monitor.fitting.flights import Flight
 from monitor.profile import ObserverProfile, Profile
@@ -69,8 +69,8 @@ def bank_rule(
     from counting for more than a tenth of it; ``washouts``, ``jump_s`` and ``level_s`` are the rule's.
 
     The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
-    unexplained in healthy flight, with a margin. A hypothesis that contains another does not count in it: it explains
-    whatever that one does, and is believed only where that one does not.
+    unexplained in healthy flight, with a margin. A hypothesis that contains another does not count in it, nor in the
+    usual score: it explains whatever that one does, and is believed only where that one does not.
     """
     observer, settled = AffineObserver(bank), round(settle_s * bank[0].rate_hz)
     keep = float(np.exp(-1.0 / (smoothing_s * bank[0].rate_hz)))
@@ -83,18 +83,19 @@ def bank_rule(
     watched = tuple(any(name in edges for name in one.faults) for one in bank)
     least = 0.0 if noise is None else np.diag((_NOISE_SHARE * noise) ** 2)
     covariances = tuple(residual.T @ residual / len(residual) + least for residual in residuals)
-    scores = [
-        np.linalg.norm(residual @ W.T, axis=1)
-        for residual, W, edge in zip(residuals, whitening(covariances), watched, strict=True)
-        if not edge
-    ]
-    compared = [set(one.faults) for one, edge in zip(bank, watched, strict=True) if not edge]
-    smallest = [not any(other < faults for other in compared) for faults in compared]
-    least_scores = np.min(scores, axis=0)
+    fewest = smallest([one.faults for one in bank])
+    least_scores = np.min(
+        [
+            np.linalg.norm(residual @ W.T, axis=1)
+            for residual, W, edge, few in zip(residuals, whitening(covariances, fewest), watched, fewest, strict=True)
+            if few and not edge
+        ],
+        axis=0,
+    )
     return BankRule(
         smoothing_s=smoothing_s,
         tolerance=_TOLERANCE,
-        score_floor=MARGIN * float(np.min(np.array(scores)[smallest], axis=0).max()),
+        score_floor=MARGIN * float(least_scores.max()),
         usual_score=float(f"{np.sqrt(np.mean(least_scores**2)):.4g}"),
         level_s=level_s,
         gain_penalty=_GAIN_PENALTY,
