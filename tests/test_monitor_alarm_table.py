@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -103,9 +104,13 @@ def test_the_sentence_says_the_size_of_now_and_keeps_what_is_behind_it() -> None
     said = "motor1 delivers 5 % less than commanded; affected: motor2"
     raised = event(1, message=said, estimate=-0.02, relative=-0.05, unit="fraction of full command")
     table.take(raised, 0)
-    table.resize(raised.vehicle, raised.observer, {raised.channel: -0.04})
+    table.resize(raised.vehicle, raised.observer, {raised.channel: -0.04}, {})
     [row] = table.rows(START_NS)
     assert (row.size, row.message) == ("-10 % of thrust", said.replace("5 %", "10 %"))
+    table.resize(raised.vehicle, raised.observer, {raised.channel: -0.04}, {raised.channel: -0.08})
+    assert table.rows(START_NS)[0].size == "-8 % of thrust"
+    table.resize(raised.vehicle, raised.observer, {raised.channel: -0.04}, {raised.channel: math.nan})
+    assert table.rows(START_NS)[0].size == "-10 % of thrust"
 
 
 @given(st.text(max_size=8), st.text(max_size=8), st.integers(), st.floats())

@@ -24,7 +24,7 @@ JSON = st.recursive(
 )
 KEYS = ("time_ns", "isolated", "sd", "residual", "armed", "facts", "links", "watching", "channels", "latency_ms")
 FACTS = st.fixed_dictionaries({}, optional=dict.fromkeys(("heartbeat", "position", "gps", "texts"), JSON))
-PAYLOADS = JSON | st.fixed_dictionaries({}, optional=dict.fromkeys(KEYS, JSON) | {"facts": FACTS | JSON})
+PAYLOADS = JSON | st.fixed_dictionaries({}, optional=dict.fromkeys((*KEYS, "commands"), JSON) | {"facts": FACTS | JSON})
 
 
 def estimate(slot: int, *channels: str) -> dict[str, Any]:
@@ -70,6 +70,17 @@ def test_only_the_last_rows_are_kept_and_a_reader_gets_each_once() -> None:
     assert (second["rows"], "faults" in second) == (1, False)
     values = np.frombuffer(base64.b64decode(second["values"]), "<f8").tolist()
     assert values == [1.0, ROWS + 10, 0.5, 0.25]
+
+
+def test_what_a_motor_lost_is_kept_as_a_share_of_its_command() -> None:
+    history, have = VehicleHistory(), {}
+    commanded = estimate(3, "motor1", "gyro_x") | {"commands": {"motor1": 0.5, "stranger": 0.5}}
+    assert history.take_estimate("motors", commanded) == ({"motor1": 3.0, "gyro_x": 3.0}, {"motor1": 6.0})
+    values = np.frombuffer(base64.b64decode(history.since(have)["observers"]["motors"]["values"]), "<f8").tolist()
+    assert values == [1.0, 6.0, 3.0, 1.0, 0.5, 0.25]
+    channel = {"threshold": 0.01, "unit": "fraction of full command", "usual_command": 0.5}
+    card = vehicle_card(VehicleStatus("quad"), {"channels": {"motors": {"motor1": channel}}}, "", 1)
+    assert card["channels"]["motors"]["motor1"] == [0.02, "% of thrust", 100.0]
 
 
 def test_other_channels_begin_anew() -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
 from monitor.bus.payload import decode_payload
+from monitor.estimation.input_curve import LEAST_COMMAND
 
 if TYPE_CHECKING:
     import zenoh
@@ -22,6 +24,16 @@ class LiveSizes(NamedTuple):
     vehicle: str
     observer: str
     sizes: Mapping[str, float]
+    shares: Mapping[str, float]  # the same of motors as a share of their commands
+
+
+def live_shares(sizes: Mapping[str, float], commands: object) -> dict[str, float]:
+    """Return sizes of motors' faults as shares of the commands that came with them; not a number near zero command."""
+    return {
+        name: sizes[name] / command if command >= LEAST_COMMAND else math.nan
+        for name, command in (commands.items() if isinstance(commands, dict) else ())
+        if name in sizes and type(command) is float
+    }
 
 
 class EstimateWatch:
@@ -46,7 +58,8 @@ class EstimateWatch:
             isolated = estimate.get("isolated") if isinstance(estimate, dict) else None
             if isinstance(isolated, dict):
                 sizes = {name: float(size) for name, size in isolated.items() if type(size) in (int, float)}
-                found.append(LiveSizes(vehicle_of(self._root, key), key.rpartition("/")[2], sizes))
+                shares = live_shares(sizes, estimate.get("commands"))
+                found.append(LiveSizes(vehicle_of(self._root, key), key.rpartition("/")[2], sizes, shares))
         return found
 
     def close(self) -> None:

@@ -32,6 +32,9 @@ def to_json(payload: Mapping[str, Any] | Sequence[Any]) -> bytes:
 
 def estimate_json(layout: Layout, estimates: Estimates, row: int) -> dict[str, Any]:
     """Return one of an observer's estimates as the JSON object of the contract, values by channel name."""
+    u = dict(zip(layout.inputs, estimates.samples.u[row].tolist(), strict=True))
+    usual = zip(layout.faults, layout.usual_commands, strict=False)  # none where none is known
+    commands = {name: u[name] for name, command in usual if command and name in u}
     return {
         "time_ns": int(estimates.samples.time_ns[row]),
         "vehicle_time_ms": int(estimates.samples.vehicle_time_ns[row]) // 1_000_000,
@@ -42,6 +45,7 @@ def estimate_json(layout: Layout, estimates: Estimates, row: int) -> dict[str, A
         "coasted_s": float(estimates.coasted_s[row]),
         "isolated": _named(layout.faults, estimates.isolated[row]),
         "residual": _named(layout.outputs, estimates.residual[row]),
+        **({"commands": commands} if commands else {}),
     }
 
 

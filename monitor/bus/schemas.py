@@ -65,6 +65,7 @@ _ESTIMATE = _object(
     {
         "sd": _BY_NAME | {"description": "standard deviations of what is estimated, by its name"},
         "coasted_s": _AMOUNT | {"description": "time since the last measurement, bridged on the model"},
+        "commands": _BY_NAME | {"description": "of motors, by their faults' names: what they lost is a share of it"},
     },
 )
 

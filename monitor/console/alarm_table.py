@@ -49,13 +49,13 @@ class AlarmTable:
         self._kept_ns = round(kept_cleared_s * 1e9)
         self._latest: dict[RowKey, AlarmEvent] = {}
         self._cleared_ns: dict[RowKey, int] = {}
-        self._sizes: dict[RowKey, float] = {}
+        self._sizes: dict[RowKey, tuple[float, float | None]] = {}
 
-    def resize(self, vehicle: str, observer: str, sizes: Mapping[str, float]) -> None:
-        """Take what an observer estimates now, by channel: the size of an alarm between its events."""
+    def resize(self, vehicle: str, observer: str, sizes: Mapping[str, float], shares: Mapping[str, float]) -> None:
+        """Take what an observer estimates now, by channel, of motors also as a share: sizes between alarms' events."""
         for channel, size in sizes.items():
             if (key := (vehicle, observer, channel)) in self._latest:
-                self._sizes[key] = size
+                self._sizes[key] = size, shares.get(channel)
 
     def take(self, event: AlarmEvent, now_ns: int) -> None:
         """Take an event that arrived at a Unix time; one older than what is known of its channel changes nothing.
@@ -94,10 +94,14 @@ class AlarmTable:
         return [(group, self._sized(key, event)) for group, key, event in rows]
 
     def _sized(self, key: RowKey, event: AlarmEvent) -> AlarmEvent:
-        """Return the event with the size that its fault has now, its sentence, too; a share goes with the estimate."""
-        if (size := self._sizes.get(key)) is None or event.state == "cleared":
+        """Return the event with the size that its fault has now, its sentence, too."""
+        if (now := self._sizes.get(key)) is None or event.state == "cleared":
             return event
-        share = None if event.relative is None or not event.estimate else size * event.relative / event.estimate
+        size, share = now
+        if event.relative is None or not event.estimate:
+            share = None
+        elif share is None or not math.isfinite(share):
+            share = size * event.relative / event.estimate
         message = event.message
         if event.estimate is not None and math.isfinite(event.estimate):
             same = event.observer, event.channel, event.kind, event.unit, event.state

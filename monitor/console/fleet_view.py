@@ -135,7 +135,7 @@ class FleetView:
         with self._lock:
             history = self._history(vehicle)
             if history is not None:
-                self._table.resize(vehicle, observer, history.take_estimate(observer, payload))
+                self._table.resize(vehicle, observer, *history.take_estimate(observer, payload))
 
     def _history(self, vehicle: str) -> VehicleHistory | None:
         """Return a vehicle's past; a new one takes the place of one whose monitor is gone, or finds none."""
@@ -154,11 +154,15 @@ def _clean(event: Mapping[str, Any]) -> dict[str, Any]:
     return {name: printable(value) if isinstance(value, str) else value for name, value in event.items()}
 
 
-def _shown_unit(channel: Mapping[str, Any]) -> tuple[str, float]:
-    """Return the unit that people say of a channel, and what a size is multiplied by then."""
+def _shown(channel: Mapping[str, Any]) -> tuple[float, str, float]:
+    """Return a channel's threshold, the unit that people say, and what both are multiplied by then.
+
+    Of a motor the threshold is a share of its usual command, as its columns are shares of commands.
+    """
     unit, command = channel.get("unit"), number(channel.get("usual_command"))
-    factor, name = display_unit(unit if isinstance(unit, str) else "", command if command > 0.0 else None)
-    return printable(name[:60]), factor
+    of_motor = command > 0.0
+    factor, name = display_unit(unit if isinstance(unit, str) else "", 1.0 if of_motor else None)
+    return number(channel.get("threshold")) / (command if of_motor else 1.0), printable(name[:60]), factor
 
 
 def vehicle_card(status: VehicleStatus, payload: Mapping[str, Any], mode: str, heard_ns: int) -> dict[str, Any]:
@@ -174,7 +178,7 @@ def vehicle_card(status: VehicleStatus, payload: Mapping[str, Any], mode: str, h
     }
     channels = {
         printable(observer): {
-            printable(name): [number(channel.get("threshold")), *_shown_unit(channel)]
+            printable(name): [*_shown(channel)]
             for name, channel in list(mapping(of_observer).items())[:MAX_CHANNELS]
             if isinstance(channel, Mapping)
         }

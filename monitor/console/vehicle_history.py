@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from adapters.errors import printable
+from monitor.bus.estimate_watch import live_shares
 from monitor.event import AlarmEvent
 
 ROWS: Final = 3600
@@ -69,22 +70,26 @@ class VehicleHistory:
         }
         self._counts: Since = dict.fromkeys(self._entries, 0)
 
-    def take_estimate(self, observer: str, payload: Any) -> Mapping[str, float]:
-        """Take an observer's estimate, one for each slot of time; return what each channel is held responsible for."""
+    def take_estimate(self, observer: str, payload: Any) -> tuple[Mapping[str, float], Mapping[str, float]]:
+        """Take an observer's estimate, one for each slot of time; return what each channel is held responsible for.
+
+        Beside that, of motors, as a share of their commands: that is what their columns hold.
+        """
         if not isinstance(payload, Mapping) or not math.isfinite(time_ns := number(payload.get("time_ns"))):
-            return {}
+            return {}, {}
         parts = {name: _sizes(payload.get(name)) for name in ("isolated", "sd", "residual")}
         faults, outputs = list(parts["isolated"])[:MAX_CHANNELS], list(parts["residual"])[:MAX_CHANNELS]
         for name in _PULLED:
             if name in parts["isolated"]:
                 self._isolated[name] = parts["isolated"][name]
         isolated = {name: size for name, size in parts["isolated"].items() if math.isfinite(size)}
+        shares = {name: live_shares(parts[name], payload.get("commands")) for name in ("isolated", "sd")}
         if not faults or self._slots.get(observer) == (slot := int(time_ns // SLOT_NS)):
-            return isolated
+            return isolated, shares["isolated"]
         layout = {"faults": faults, "outputs": outputs}
         if self._layouts.get(observer) != layout:
             if observer not in self._layouts and len(self._layouts) >= MAX_OBSERVERS:
-                return {}
+                return {}, {}
             self._layouts[observer] = layout
             self._generations[observer] = self._generations.get(observer, 0) + 1
             width = 1 + 2 * len(faults) + len(outputs)
@@ -92,10 +97,10 @@ class VehicleHistory:
         self._slots[observer] = slot
         row = [1.0 if payload.get("armed") is True else 0.0]
         for name in ("isolated", "sd"):
-            row += [parts[name].get(channel, math.nan) for channel in faults]
+            row += [(parts[name] | shares[name]).get(channel, math.nan) for channel in faults]
         row += [parts["residual"][channel] for channel in outputs]
         self.observers[observer].add(time_ns / 1e9, row)
-        return isolated
+        return isolated, shares["isolated"]
 
     def take_status(self, payload: Mapping[str, Any], mode: str) -> None:
         """Take a status, once a second, with the name of the flight mode."""
