@@ -49,12 +49,14 @@ def test_a_motor_s_chart_has_the_size_of_its_alarm() -> None:
     run = trace()
     layout = replace(LAYOUT, inputs=LAYOUT.faults, usual_commands=(0.5, 0.5, 0.5, None))
     run = replace(run, layout=layout, u=np.where(np.arange(len(run.u)) < 700, 0.4, 0.8)[:, None] * np.ones(4))
+    run.u[300, 1] = np.nan
     truth = {"motor1": (run.vehicle_ns / 1e9, -0.05 * run.u[:, 0])}
     found = content(RunView([run], EVENTS, THRESHOLDS, truth), run, "motor1")
     assert (found["unit"], found["threshold"]) == ("% of thrust", pytest.approx(3.0))
     np.testing.assert_allclose(series(found, "truth")[np.array(found["x"]) != 7.0], -5.0)
     after = np.array(found["x"]) > 12.0
     assert np.nanmedian(series(found, "estimate")[after]) == pytest.approx(-6.0 / 0.8, abs=0.5)
+    assert np.isfinite(series(content(RunView([run], [], THRESHOLDS), run, "motor2"), "estimate")[-10:]).all()
     assert content(RunView([run], [], THRESHOLDS), run, "motor 4")["unit"] == "% of full thrust"
 
 

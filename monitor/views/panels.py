@@ -50,7 +50,9 @@ def in_display_units(run: RunView) -> RunView:
             units.append(said)
             scale[:, at] = factor
             if command is not None and name in layout.inputs and len(scale):
-                scale[:, at] = 100.0 / np.maximum(_smoothed(trace, layout.inputs.index(name)), LEAST_COMMAND)
+                u = trace.u[:, layout.inputs.index(name)]
+                u = _smoothed(trace, np.where(np.isfinite(u), u, command))
+                scale[:, at] = 100.0 / np.maximum(u, LEAST_COMMAND)
             if (key := (layout.observer, name)) in thresholds:
                 thresholds[key] *= factor
             if name in truth and truth[name] is run.truth[name] and len(scale):
@@ -61,12 +63,11 @@ def in_display_units(run: RunView) -> RunView:
     return run._replace(traces=traces, thresholds=thresholds, truth=truth)
 
 
-def _smoothed(trace: Trace, place: int) -> NDArray[np.float64]:
-    """Return an input smoothed as the estimates are (N,)."""
+def _smoothed(trace: Trace, u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a signal smoothed as the estimates are (N,)."""
     from scipy.signal import lfilter
 
-    u, times_s = trace.u[:, place], trace.vehicle_ns / 1e9
-    rate_hz = 1.0 / float(np.median(np.diff(times_s))) if len(u) > 1 else trace.layout.rate_hz
+    rate_hz = 1e9 / float(np.median(np.diff(trace.vehicle_ns))) if len(u) > 1 else trace.layout.rate_hz
     keep = keep_share(trace.layout.smoothing_s, rate_hz)
     return np.asarray(lfilter([1.0 - keep], [1.0, -keep], u, zi=[keep * u[0]])[0])
 
