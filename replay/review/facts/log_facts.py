@@ -209,7 +209,7 @@ def flown(flight: Iterable[tuple[float, float]], motors: LogSignal | None) -> li
     if motors is None or len(motors.names) < _FEWEST_ROTORS:
         return list(flight)
     edges = [(-np.inf, True)]
-    idle = (np.ptp(motors.values, axis=1) < _ALIKE) & (motors.values.max(axis=1) < CARRIES)
+    idle = (np.ptp(motors.values, axis=1) < _ALIKE) & (motors.values.max(axis=1) < _IDLE_COMMAND)
     for start, end in spans_where(motors.time_s, idle, _IDLE_S):
         edges += [(start, False), (end, True)]
     return [(start, end) for start, end in overlap(flight, state_spans(edges, np.inf)) if end - start >= _HOP_S]
@@ -382,8 +382,8 @@ _FEWEST_ROTORS = 3
 """Rotors of a multirotor, at least: of fewer outputs that are alike nothing follows."""
 _ALIKE = 0.005
 """Of full command: half a step of 8 bits. Motors that carry a vehicle differ by what its controllers ask."""
-CARRIES = 0.15
-"""Share of full command from which on the strongest vehicles hover; motors idle at 0.05 to 0.13."""
+_IDLE_COMMAND = 0.15
+"""Share of full command: motors idle at 0.05 to 0.13. Strong vehicles hover there, but never with all motors alike."""
 _HOP_S = 1.0
 """Chosen: what is shorter is a report that was taken back, or a touch of the throttle."""
 _IDLE_S = 3.0
