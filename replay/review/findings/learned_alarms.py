@@ -12,7 +12,7 @@ _LEAST_S = 5.0
 """Of an alarm that is more than a moment. Measured on fifteen healthy simulated flights learned from their first
 40 s: alarms of motors end within 3.6 s (hard turns that the begin did not have)."""
 _PASSING_S = 12.0
-"""Of an alarm that ends by itself, below which it is information alone: what is broken stays so. Measured on 41 real
+"""Of an alarm that ends by itself, below which it is information alone: what is broken stays so. Measured on 40 real
 flights that were learned from (public logs of ArduPilot): where nothing else speaks of a fault, seven alarms of motors
 and GPS velocities end after 6 to 11 s, those of the latter because the observer holds a jump for 10 s. Those of faults
 last as long as the fault."""
