@@ -160,8 +160,10 @@ def fit_profile(
     further, refused = ((), own.refused) if own.refused else _further_observers(vehicle, own.request, own.gate, stage)
     observers = (own.fitted, *further)
     warnings = (*_slow(vehicle, surveys, observers), *_hidden(surveys, observers)) if surveys else ()
-    measured = tuple(_measured(one, own.request, kind, own.gate) for one in observers)
-    stage("measured what will be detected")
+    measured = observers
+    if capability:
+        measured = tuple(_measured(one, own.request, kind, own.gate) for one in observers)
+        stage("measured what will be detected")
     report = FitReport(kind, measured, refused, warnings)
     content = profile_content(name, kind, own.gate, report, common_identity(one.identity for one in read.surveyed))
     merged, edits = (content, []) if before is None else with_edits(content, before.kept.written, before.edited)
