@@ -147,6 +147,9 @@ _PAIRED = 4
 """Number of motors of a vehicle any two of whose losses are told from all others. The effects of four motors on three
 body rates have one linear combination that is zero, with all signs alike: two losses are told from any other two, as
 losses. Of six motors the losses of two opposite ones turn the vehicle as little as those of any other two."""
+_OPPOSITE = 0.5
+"""Share of one motor's effect on roll and pitch up to which two together are opposite. Chosen: opposite ones of a
+quadrotor have none of it, neighbours 1.4 times as much."""
 _SMALLEST_JUMP = 0.05
 """rad/s: an autopilot rides out a smaller jump of a gyro, and gusts make steps of that size."""
 _MOST_OF_JUMPS = 1.5
@@ -257,8 +260,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     plant = multirotor_plant(
         model, request.name, motors, doubt=identified.doubt, gyros=identified.gyros, unit=drive.unit
     )
-    pairs = tuple(combinations(motors, 2)) if len(motors) == _PAIRED else ()
-    gains = compile_bank(plant, design_bank(plant, model.rate_hz, together=pairs))
+    gains = compile_bank(plant, design_bank(plant, model.rate_hz, together=pairs_of(motors, model.B, slow=slow)))
     rule = bank_rule(gains, segments, edges=GYROS, level_s=LEVEL_SHARE * identified.times.slow_s)
     bare = Fitted(drive.observer, plant, gains, identified.source, rule, supply=drive.supply)
     channels = bare.profile().faults
@@ -307,6 +309,22 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
         measured=True,
         agreement=motor_agreement(model, request.names, [flight.segments() for flight in identified.flights], motors),
     )
+
+
+def pairs_of(motors: Sequence[str], B: NDArray[np.float64], *, slow: bool) -> tuple[tuple[str, str], ...]:
+    """Return the motors that are looked for together, by their effects B (n, s) on body rates, roll and pitch first.
+
+    Opposite motors turn the vehicle about the vertical alone where both lose. How it answers there is known least where
+    commands come slowly: turns that were faster than any flown were taken for the loss of two such motors.
+    """
+    if len(motors) != _PAIRED:
+        return ()
+    level = dict(zip(motors, B[:2].T, strict=True))
+    apart = {
+        (a, b): float(np.linalg.norm(level[a] + level[b])) > _OPPOSITE * float(np.linalg.norm(level[a]))
+        for a, b in combinations(motors, 2)
+    }
+    return tuple(pair for pair, turns in apart.items() if turns or not slow)
 
 
 def _supply_text(supply: SupplyRule) -> str:
