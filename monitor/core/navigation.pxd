@@ -30,7 +30,7 @@ cdef class Navigation:
     # The magnetic field: its measurement, where it points from north, what is taken for its declination and for its
     # strength, for how long it has been so again after it jumped, how far a measurement was off that may be the first
     # after a jump, and how errors of the attitude about north and east turn it; the largest rate of late.
-    cdef double _field_delay_s, _field_noise, _field_walk, _direction, _declined, _strength
+    cdef double _field_delay_s, _field_timing_s, _field_noise, _field_walk, _direction, _declined, _strength
     cdef double _back_s, _stepped, _whirl
     cdef double[3] _field
     cdef double[2] _tilting

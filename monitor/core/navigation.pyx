@@ -52,6 +52,8 @@ cdef double _TIMING_S = 0.05
 cdef double _HEADING_NOISE = 0.1
 # How late or early the field may be against the gyros, s: half of the step of the delays that a fit tries.
 cdef double _FIELD_TIMING_S = 0.02
+# The same where flights showed no delay, as hovering does not: the deviation of any of those tried (0.28 s).
+cdef double _FIELD_UNTOLD_S = 0.08
 # Least step of the field's direction, rad, that is a compass at fault: half of the smallest that is worth an alarm.
 cdef double _FIELD_LEAST = 0.09
 # Standard deviations that no measurement is off by (one in two million).
@@ -130,6 +132,7 @@ cdef class Navigation:
     ):
         self._dt, self._every, self._level = dt, every, level
         self._field_delay_s, self._field_noise, self._field_walk = field_delay_s, field_noise, field_walk
+        self._field_timing_s = _FIELD_TIMING_S if field_delay_s > 0.0 else _FIELD_UNTOLD_S
         self.restart()
 
     @property
@@ -329,7 +332,7 @@ cdef class Navigation:
                     innovation[2], variance[2] = self._direction, _HEADING_NOISE * _HEADING_NOISE
         elif self._pointed and self.believed():
             off = _wrapped(self._direction - self._declined)
-            spread = self._field_noise * self._field_noise + (_FIELD_TIMING_S * self._whirl) ** 2
+            spread = self._field_noise * self._field_noise + (self._field_timing_s * self._whirl) ** 2
             if not self.steps(off, spread + self._P[2][2] + 2.0 * self._P[2][_H] + self._P[_H][_H]):
                 innovation[2], variance[2] = off, spread
         self._pointed = False
