@@ -2,6 +2,26 @@
 
 All of them are pure: they take the packets of one vehicle in order of time, a generator of random numbers where they
 need one, and return others. :func:`send` lets a process of its own send what several vehicles suffer at once.
+
+Where each kind of attack and trouble is tested, over real sockets unless the name says a part of the monitor:
+
+| what | tested in |
+|---|---|
+| forged reports, stamps, values, time, another vehicle, all once more and late, two at once | test_chaos_attacks |
+| the same at other rates and times, from the first message on | test_monitor_impostor, test_monitor_interleaved |
+| bursts of loss, duplicates, reordering, silence | test_chaos_attacks, test_chaos_network, test_gaps |
+| damaged bytes, poisoned values, signatures, clocks, reboots | test_chaos_hostile, test_chaos |
+| packets of a signed link sent into another | test_adapters_mavlink_link, test_adapters_signing |
+| a peer that hangs, is killed or comes back; tokens and events of somebody without the key | test_standby |
+| a disk that hangs, is full, or is cut; kill -9; numbers of events | test_monitor_background, test_chaos_crash |
+| a busy host, a flood of another vehicle, of vehicle ids, of Zenoh peers that say nothing | test_chaos_surroundings |
+| JSON objects of megabytes, subscribers that stall, a Zenoh router that goes and comes | test_chaos_zenoh |
+| a clock that is set an hour back or forth, or leaps | test_monitor_vehicle_service, test_monitor_sampling_clock |
+| telemetry that stops reaching an observer | test_monitor_blind |
+| a process whose main loop stands still | test_monitor_watchdog |
+| alarms that a flood would hold back | test_monitor_desk |
+| requests for the past without end, a log that a reader holds | test_monitor_publisher, test_monitor_journal |
+| recordings that a crash leaves | test_adapters_mcap_recovery |
 """
 
 from __future__ import annotations
@@ -236,6 +256,23 @@ def second_vehicle(packets: Sequence[Due], rng: random.Random, now_ns: int) -> l
     return list(merge(packets, others, key=lambda one: one[0]))
 
 
+def time_forged(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
+    """Let somebody say five times a second that it is an hour later."""
+    packer = ardupilotmega.MAVLink(None, packets[0][1][5], 1)
+    false: list[Due] = []
+    for due in range(round(ATTACK_S * 1e9), packets[-1][0], _SECOND_NS // 5):
+        said = ardupilotmega.MAVLink_system_time_message((now_ns + due) // 1000 + 3_600_000_000, 3_700_000)
+        false.append((due, bytes(said.pack(packer))))
+        packer.seq = (packer.seq + 1) % 256
+    return list(merge(packets, false, key=lambda one: one[0]))
+
+
+def repeat_late(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
+    """Send everything once more, 1.5 s late."""
+    late = [(due + 1_500_000_000, packet) for due, packet in packets if due >= ATTACK_S * 1e9]
+    return list(merge(packets, late, key=lambda one: one[0]))
+
+
 def number_anew(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
     """Let the sequence numbers begin anew, as a radio that was restarted does."""
     return [
@@ -252,9 +289,15 @@ def burst(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
     return [(due, packet) for due, packet in packets if due < ATTACK_S * 1e9 or due % 400_000_000 >= 100_000_000]
 
 
+def _later(said: Mapping[str, Any], by_us: int) -> dict[str, int]:
+    return {"time_usec": said["time_usec"] + by_us}
+
+
+ON_GROUND = insert("EXTENDED_SYS_STATE", lambda said: {"landed_state": 1}, 0.9, False)
+
 ATTACKS: Mapping[str, Distortion] = {
     "disarmed": insert("HEARTBEAT", lambda said: {"base_mode": said["base_mode"] & 127}, 1.0, False),
-    "on ground": insert("EXTENDED_SYS_STATE", lambda said: {"landed_state": 1}, 0.9, False),
+    "on ground": ON_GROUND,
     "ahead": insert("ATTITUDE", lambda said: {"time_boot_ms": said["time_boot_ms"] + 900}, 1.0, False),
     "hour ahead": insert("ATTITUDE", lambda said: {"time_boot_ms": said["time_boot_ms"] + 3_600_000}, 0.5, False),
     "own numbers": insert("ATTITUDE", lambda said: {}, 0.2, True),
@@ -262,6 +305,12 @@ ATTACKS: Mapping[str, Distortion] = {
         "ATTITUDE", lambda said: {"time_boot_ms": said["time_boot_ms"] + 4, "roll": said["roll"] + 0.3}, 0.503, False
     ),
     "second vehicle": second_vehicle,
+    "commands": insert(
+        "SERVO_OUTPUT_RAW", lambda said: {f"servo{k}_raw": 1000 for k in range(1, 5)} | _later(said, 4_000), 0.01, False
+    ),
+    "time": time_forged,
+    "late copy": repeat_late,
+    "on ground, an hour later": lambda packets, rng, now_ns: time_forged(ON_GROUND(packets, rng, now_ns), rng, now_ns),
     "numbers anew": number_anew,
     "bursts 100 ms": burst,
 }

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import random
 import shutil
 import signal
 import socket
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import chaos
@@ -16,6 +21,9 @@ from chaos import Sufferer
 from chaos_run import MOTOR1, Monitor, monitoring, name_of, waits
 
 pytestmark = pytest.mark.long
+
+FAULT_BEGINS_S = 8.0
+"""How long what goes on is done: the fault begins 8.6 s after the first packet."""
 
 
 def freeze(monitor: Monitor) -> None:
@@ -30,33 +38,83 @@ def delete_recordings(monitor: Monitor) -> None:
 
 
 def cut_journal(monitor: Monitor) -> None:
-    """Cut the journal to half; its shared memory is left, as a program whose mapped memory is cut gets a signal."""
-    for path in (monitor.folder / "journal.db", monitor.folder / "journal.db-wal"):
+    """Cut the journal's files to half, all of them."""
+    for path in monitor.folder.glob("journal.db*"):
         with path.open("r+b") as file:
             file.truncate(path.stat().st_size // 2)
 
 
-def crowd(monitor: Monitor) -> None:
-    """Announce 64 vehicles at once."""
+def delete_journal(monitor: Monitor) -> None:
+    """Delete the journal's files, all of them."""
+    for path in monitor.folder.glob("journal.db*"):
+        path.unlink()
+
+
+def send_for(monitor: Monitor, seconds: float, packets: Sequence[bytes], pause_s: float) -> None:
+    """Send packets again and again, with a pause after each round."""
     host, port = monitor.udp.split(":")
+    until_s = time.monotonic() + seconds
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        for system in range(100, 164):
-            sender = chaos.ardupilotmega.MAVLink(None, srcSystem=system, srcComponent=1)
-            beat = chaos.ardupilotmega.MAVLink_heartbeat_message(2, 3, 209, 0, 4, 3)
-            out.sendto(beat.pack(sender), (host, int(port)))
+        while time.monotonic() < until_s:
+            for packet in packets:
+                out.sendto(packet, (host, int(port)))
+            time.sleep(pause_s)
+
+
+def crowd(monitor: Monitor) -> None:
+    """Announce 64 vehicles, ten times a second while the fault begins."""
+    kinds = chaos.ardupilotmega
+    beat = kinds.MAVLink_heartbeat_message(2, 3, 209, 0, 4, 3)
+    attitude = kinds.MAVLink_attitude_message(5, *[0.1] * 6)
+    senders = [kinds.MAVLink(None, srcSystem=system, srcComponent=1) for system in range(100, 164)]
+    packets = [bytes(message.pack(sender)) for sender in senders for message in (beat, attitude)]
+    send_for(monitor, FAULT_BEGINS_S, packets, 0.1)
+
+
+def flood(monitor: Monitor) -> None:
+    """Let the other vehicle send some ten thousand packets a second."""
+    packets = [packet for _, packet in Sufferer(2, MOTOR1, "none", 1.0).packets(time.time_ns())]
+    send_for(monitor, FAULT_BEGINS_S, packets[:200], 0.01)
+
+
+def half_open_peers(monitor: Monitor) -> None:
+    """Connect to Zenoh again and again: peers that say nothing, and others that say nonsense."""
+    host, port = monitor.endpoint.removeprefix("tcp/").split(":")
+    with ExitStack() as stack:
+        for number in range(100):
+            peer = stack.enter_context(socket.create_connection((host, int(port))))
+            if number % 2:
+                peer.sendall(random.Random(number).randbytes(1000))
+        time.sleep(FAULT_BEGINS_S)
+
+
+def busy_host(monitor: Monitor) -> None:
+    """Let other programs use every processor, twice over."""
+    idle = [sys.executable, "-c", "while True: pass"]
+    others = [subprocess.Popen(idle) for _ in range(2 * (os.cpu_count() or 1))]
+    try:
+        time.sleep(FAULT_BEGINS_S)
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
 
 
 TROUBLES: dict[str, Callable[[Monitor], None]] = {
     "frozen for 5 s": freeze,
     "recordings deleted": delete_recordings,
     "journal cut": cut_journal,
+    "journal deleted": delete_journal,
     "64 vehicles at once": crowd,
+    "another vehicle floods": flood,
+    "half-open Zenoh peers": half_open_peers,
+    "busy host": busy_host,
 }
 
 
 @pytest.mark.parametrize("what", TROUBLES)
 def test_the_fault_is_alarmed_whatever_breaks_around_the_monitor(tmp_path: Path, what: str) -> None:
-    with monitoring(tmp_path, [1]) as monitor:
+    with monitoring(tmp_path, [1, 2]) as monitor:
         sender = chaos.send([Sufferer(1, MOTOR1, "none", 12.0)], f"udp:{monitor.udp}")
         try:
             waits(lambda: monitor.statuses.get(name_of(1), {}).get("samples", 0) > 100, "samples")
