@@ -137,6 +137,15 @@ def test_a_velocity_of_the_gps_that_jumps_is_no_fault_of_the_imu() -> None:
     assert others(named(raw), "") == 0.0
 
 
+def test_a_velocity_of_the_gps_that_ramps_is_no_fault_of_the_imu() -> None:
+    raw = noisy(45.0, 4)
+    ramp = 0.5 * np.clip(np.arange(len(raw)) - ONSET, 0, END - ONSET) / truth.SIGNAL_HZ
+    north = raw[:, 12] * np.cos(np.radians(raw[:, 13])) + ramp
+    east = raw[:, 12] * np.sin(np.radians(raw[:, 13]))
+    raw[:, 12], raw[:, 13] = np.hypot(north, east), np.degrees(np.arctan2(east, north))
+    assert others(named(raw[:END]), "") == 0.0
+
+
 def test_the_accelerometers_fault_is_an_output_and_none_of_it_is_left_in_the_accelerations() -> None:
     raw = noisy(40.0, 5)
     raw[ONSET:, 0] += 0.6

@@ -72,6 +72,10 @@ cdef double _UNSEEN_ACCELERATION = 3.0
 cdef double _UNSEEN_RATE = 0.05
 # By how much a hypothesis has to be likelier than any other: 20 to 1.
 cdef double _MARGIN = 3.0
+# By how much less likely a ramp of the GPS's velocity is that goes the way of an accelerometer, before anything is
+# measured: a ramp goes anywhere, and a likelihood l tells ways apart by 1 / sqrt(2 l) rad, 0.1 for 50. Within that of
+# one of four ways are 0.8 of the 6.3 rad: 1 in 8.
+cdef double _COINCIDENCE = 2.0
 # By how much it has to be likelier that a fault has just ended than that it goes on: 150 to 1; faults do end.
 cdef double _ENDED = 5.0
 # Share of what another fault explains that the end of one has to explain. Measured on five flights with a gyro's fault:
@@ -521,7 +525,7 @@ cdef class Navigation:
                 which = h
         for h in range(HYPOTHESES):
             if h != which:
-                others = fmax(others, best[h])
+                others = fmax(others, best[h] - (_COINCIDENCE if h >= _RAMP else 0.0))
         # Magnetometers are judged elsewhere.
         self.score = best[which] if which != _TURN else 0.0
         self._helpless = self._helpless + 1 if self.score > self._level else 0
