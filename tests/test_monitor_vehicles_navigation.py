@@ -195,3 +195,17 @@ def test_after_a_gyros_fault_the_compass_is_levelled_by_the_navigation() -> None
     # what is left of the step at the onset is forgotten with the washout, and nothing is added
     kept = np.exp(-1.0 / (30.0 * truth.RATE_HZ))
     assert np.abs(apart[1:] - kept * apart[:-1])[END // 4 + 100 :].max() < 0.01
+
+
+def test_while_the_compass_is_wrong_the_rotation_lacks_what_a_gyro_always_reads_too_much() -> None:
+    raw = noisy(60.0, 9)
+    wrong = raw.copy()
+    wrong[:, 5] += 0.003
+    wrong[ONSET:, MAG.start] += 0.5 * np.hypot(raw[0, MAG.start], raw[0, MAG.start + 1])
+    rotations = []
+    for signals in (raw, wrong):
+        transform = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
+        y = transform.run(raw_samples(signals, 0)).samples.y
+        rotations.append(y[:, transform.outputs.index("rotation_z")])
+    # 0.003 rad/s would be 0.09 rad in 40 s of a washout of 30 s
+    assert np.abs(rotations[1] - rotations[0])[ONSET // 4 :].max() < 0.03

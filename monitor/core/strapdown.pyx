@@ -762,7 +762,8 @@ cdef class StrapdownCore:
         cdef double by_gyro = 0.5 * (self._turn_rate[axis] + rate) * self._dt
         cdef double fault = self._navigation.fault(axis), missed = self._navigation.missed(axis)
         if self._biased_s:
-            step = by_gyro - fault * self._dt
+            # what it always reads too much is no fault, and turns the heading all the same
+            step = by_gyro - (fault if fault != 0.0 else self._navigation._bias[axis]) * self._dt
         else:
             step = by_gyro + self._attitude_share * (step - by_gyro)
         if self._angle_s[axis]:
