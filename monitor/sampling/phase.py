@@ -133,9 +133,8 @@ class FlightPhase:
     @property
     def airborne(self) -> bool | None:
         """Whether it flies: in the air, or landing and still high; None where the vehicle does not report it."""
-        if self.landed is None:
-            return None
-        return self.landed == "air" or (self.landed == "landing" and self._high_ns is not None)
+        landed = self.landed
+        return None if landed is None else landed == "air" or (landed == "landing" and self._high_ns is not None)
 
     @property
     def armed(self) -> bool | None:

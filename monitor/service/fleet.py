@@ -14,7 +14,7 @@ import numpy as np
 from adapters.batch import Batch, Columns, gathered, joined
 from adapters.mavlink.heartbeat import AUTOPILOT, autopilot_heartbeats
 from adapters.message import Message
-from monitor.alarms.command_watch import commanded_systems
+from monitor.alarms.command_watch import COMMANDS, commanded_systems
 from monitor.pipeline import Pipeline
 from monitor.service.inbox import Arrival
 from monitor.service.vehicle_monitor import VehicleMonitor
@@ -89,7 +89,7 @@ class Fleet:
             return [(own, batch)] if own is not None else self._discard(batch.count)
         entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
         systems = {entry.system if entry.source.has_ids else None for entry in entries}
-        systems |= {system for entry in entries for system in self._commanded(entry)}
+        systems |= {system for entry in entries if entry.name in COMMANDS for system in self._commanded(entry)}
         if len(systems) == 1:
             return self._parts_of(systems.pop(), batch)
         parts = []
