@@ -7,7 +7,7 @@ Where each kind of attack and trouble is tested, over real sockets unless the na
 
 | what | tested in |
 |---|---|
-| forged reports, stamps, values, time, another vehicle, all once more and late, two at once | test_chaos_attacks |
+| forged reports, stamps, values, time, another vehicle, two at once | test_chaos_attacks |
 | the same at other rates and times, from the first message on | test_monitor_impostor, test_monitor_interleaved |
 | bursts of loss, duplicates, reordering, silence | test_chaos_attacks, test_chaos_network, test_gaps |
 | damaged bytes, poisoned values, signatures, clocks, reboots | test_chaos_hostile, test_chaos |
@@ -267,12 +267,6 @@ def time_forged(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list
     return list(merge(packets, false, key=lambda one: one[0]))
 
 
-def repeat_late(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
-    """Send everything once more, 1.5 s late."""
-    late = [(due + 1_500_000_000, packet) for due, packet in packets if due >= ATTACK_S * 1e9]
-    return list(merge(packets, late, key=lambda one: one[0]))
-
-
 def number_anew(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
     """Let the sequence numbers begin anew, as a radio that was restarted does."""
     return [
@@ -309,7 +303,6 @@ ATTACKS: Mapping[str, Distortion] = {
         "SERVO_OUTPUT_RAW", lambda said: {f"servo{k}_raw": 1000 for k in range(1, 5)} | _later(said, 4_000), 0.01, False
     ),
     "time": time_forged,
-    "late copy": repeat_late,
     "on ground, an hour later": lambda packets, rng, now_ns: time_forged(ON_GROUND(packets, rng, now_ns), rng, now_ns),
     "numbers anew": number_anew,
     "bursts 100 ms": burst,

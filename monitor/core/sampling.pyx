@@ -92,8 +92,6 @@ cdef nanoseconds _CONTEST = 10 * _SECOND
 cdef int _RIVALS = 3
 # A vehicle that was switched off is silent for longer; the longest silence of a radio was 2.5 s.
 cdef nanoseconds _AWAY = 3 * _SECOND
-# The clock before another is heard within this time. Chosen: a watched vehicle stamps five messages a second.
-cdef nanoseconds _HEARD = 200 * _MILLISECOND
 # Chosen: after a longer silence nothing of what was estimated before it is of use, so starting anew costs nothing.
 cdef nanoseconds _JUMP = 10 * _SECOND
 # A minute of least delays, twelve of them: after it a clock with 200 ppm of skew behind up to 20 ms of jitter is mapped
@@ -192,8 +190,7 @@ cdef class VehicleClock:
 
     Belief. A stamp within 1 s of the newest one, before or after, is believed at once. One further away is
     believed only when the next message has another stamp near it (at most 1 s before or 10 s after), so a
-    single damaged stamp changes nothing, and when none near the newest came for 0.2 s, so another sender's do
-    not either. Once believed, a step back of more than 1 s is a reboot and a step
+    single damaged stamp changes nothing. Once believed, a step back of more than 1 s is a reboot and a step
     ahead of more than 10 s a clock that was set: both start the clock anew and count in ``boot``.
 
     Contests. Far stamps that go on as fast as time while near ones of the same channel come in between are another
@@ -298,8 +295,6 @@ cdef class VehicleClock:
         else:
             if self._is_rival(stamp, received) or not self._confirmed(stamp):
                 return False
-            if 0 <= received - self._near_received < _HEARD and not self._is_own(stamp, received):
-                return False
             if not -_TOLERANCE <= stamp - self.newest_ns <= _JUMP:
                 self.boot += 1
                 self.running = False
@@ -321,7 +316,9 @@ cdef class VehicleClock:
         """Learn a stamp far from the newest one; return whether it is a rival's, while the clock is contested."""
         cdef wide apart = <wide>received - stamp - self._rival.delay
         cdef nanoseconds gone = received - self._rival.delay - self._rival.stamp
-        if self._is_own(stamp, received):
+        cdef wide foreign = self._delay_at(stamp) - (<wide>received - stamp)
+        if self._count and -_EARLY <= foreign <= _EARLY:
+            # The vehicle's own, after a silence of the link.
             return False
         if self._has_rival and not (self._rival.stamp == stamp and gone == 0):
             if self._interleaved and self._shared and 0 <= gone <= _CONTEST and -_TOLERANCE <= apart <= _TOLERANCE:
@@ -330,10 +327,6 @@ cdef class VehicleClock:
         self._has_rival = True
         self._rival.stamp, self._rival.delay = stamp, received - stamp
         return received < self.contested_ns and received - self._near_received < _AWAY
-
-    cdef inline bint _is_own(self, nanoseconds stamp, nanoseconds received) noexcept:
-        """Return whether a far stamp has the usual delay, as the vehicle's own have after a silence of the link."""
-        return self._count and -_EARLY <= self._delay_at(stamp) - (<wide>received - stamp) <= _EARLY
 
     cdef void _contest(self, nanoseconds ahead, nanoseconds received) noexcept:
         """Count a stamp that only another sender can have given."""
