@@ -161,8 +161,8 @@ cdef class Choice:
             level[k] = max(1.0, self.level)
             if measured[k] or restart[k]:
                 self.update(fault, residual, k, complete[k] and not self.coasted, beyond[k])
-                # What no hypothesis explains, or only one of more faults, is no weather: it must not hide itself.
-                if armed[k] and self.usual > 0.0 and self.unexplained == 0.0 and self.is_smallest(self.believed):
+                # What no hypothesis explains is no weather: it must not hide itself.
+                if armed[k] and self.usual > 0.0 and self.unexplained == 0.0:
                     brought = level[k] * self.least / self.usual
                     self.level += self.follow * (min(brought, LEVEL_CLIP) - self.level)
             self.coasted = not (measured[k] or restart[k])
@@ -227,8 +227,7 @@ cdef class Choice:
         self.open, self.least = False, INFINITY
         for i in range(count):
             k = self.compared[i]
-            if self.group[i] == 0:
-                self.least = min(self.least, self.J[k])
+            self.least = min(self.least, self.J[k])
             if self.J[k] > worst or isnan(self.J[k]):
                 worst = self.J[k]
                 if isnan(worst):
@@ -279,9 +278,6 @@ cdef class Choice:
 
     cdef inline Py_ssize_t faults(self, Py_ssize_t k) noexcept:
         return self.spans[k + 1] - self.spans[k]
-
-    cdef inline bint is_smallest(self, Py_ssize_t k) noexcept:
-        return self.faults(k) == self.faults(self.compared[0])
 
     cdef Py_ssize_t with_second(self, Py_ssize_t single) noexcept:
         """Return the hypothesis of two actuators that lost effect where it does far better than one that explains."""

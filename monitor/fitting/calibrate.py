@@ -69,8 +69,8 @@ def bank_rule(
     from counting for more than a tenth of it; ``washouts``, ``jump_s`` and ``level_s`` are the rule's.
 
     The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
-    unexplained in healthy flight, with a margin. A hypothesis that contains another does not count in it, nor in the
-    usual score: it explains whatever that one does, and is believed only where that one does not.
+    unexplained in healthy flight, with a margin. A hypothesis that contains another does not count in it: it
+    explains whatever that one does, and is believed only where that one does not.
     """
     observer, settled = AffineObserver(bank), round(settle_s * bank[0].rate_hz)
     keep = float(np.exp(-1.0 / (smoothing_s * bank[0].rate_hz)))
@@ -84,19 +84,17 @@ def bank_rule(
     least = 0.0 if noise is None else np.diag((_NOISE_SHARE * noise) ** 2)
     covariances = tuple(residual.T @ residual / len(residual) + least for residual in residuals)
     fewest = smallest([one.faults for one in bank])
-    least_scores = np.min(
+    scores = np.array(
         [
-            np.linalg.norm(residual @ W.T, axis=1)
-            for residual, W, edge, few in zip(residuals, whitening(covariances, fewest), watched, fewest, strict=True)
-            if few and not edge
-        ],
-        axis=0,
+            np.where(edge, np.inf, np.linalg.norm(residual @ W.T, axis=1))
+            for residual, W, edge in zip(residuals, whitening(covariances, fewest), watched, strict=True)
+        ]
     )
     return BankRule(
         smoothing_s=smoothing_s,
         tolerance=_TOLERANCE,
-        score_floor=MARGIN * float(least_scores.max()),
-        usual_score=float(f"{np.sqrt(np.mean(least_scores**2)):.4g}"),
+        score_floor=MARGIN * float(scores[fewest].min(axis=0).max()),
+        usual_score=float(f"{np.sqrt(np.mean(scores.min(axis=0) ** 2)):.4g}"),
         level_s=level_s,
         gain_penalty=_GAIN_PENALTY,
         hypotheses=tuple(one.faults for one in bank),
