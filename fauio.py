@@ -324,7 +324,7 @@ def _meant(given: str, known: Iterable[str]) -> str:
     from difflib import get_close_matches
 
     # two dashes that all options share make none alike
-    plain = {one.lstrip("-"): one for one in known}
+    plain = {option.lstrip("-"): option for option in known}
     near = get_close_matches(given.lstrip("-"), list(plain), n=1)
     return f"; did you mean {plain[near[0]]}?" if near else ""
 

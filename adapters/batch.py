@@ -175,13 +175,13 @@ def arrival_times(batch: Batch) -> NDArray[np.int64]:
 def memory_bytes(batch: Batch) -> int:
     """Return about how much memory a batch takes."""
     columns = 0
-    for one in batch.columns:
-        fields = one.fields
+    for column in batch.columns:
+        fields = column.fields
         if isinstance(fields, RecordFields):
             size = fields.record.nbytes
         else:
             size = sum(values.nbytes + _VALUE_BYTES for values in fields.values())
-        columns += size + one.position.nbytes + one.received_ns.nbytes
+        columns += size + column.position.nbytes + column.received_ns.nbytes
     return columns + sum(_message_bytes(message) for message in batch.others.values())
 
 

@@ -77,7 +77,7 @@ class _Stream:
             self._least_ns[-1] = minute, min(least, self._least_ns[-1][1])
         else:
             self._least_ns.append((minute, least))
-        delays = transit - min(one for _, one in self._least_ns)
+        delays = transit - min(least_ns for _, least_ns in self._least_ns)
         before = np.concatenate([[self._transit_ns], transit]) if known else transit
         changes = np.abs(np.diff(before))
         ordered = np.unique(np.concatenate([[self._stamp_ns], stamps]) if known else stamps)

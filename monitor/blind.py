@@ -88,7 +88,9 @@ class EvidenceFlow:
         for column, output in enumerate(layout.outputs):
             grouped.setdefault(_sensor(output), []).append(column)
         named = {
-            label: tuple(sorted({one.message for one in chain.source.channels if _sensor(one.name) == label}))
+            label: tuple(
+                sorted({channel.message for channel in chain.source.channels if _sensor(channel.name) == label})
+            )
             for label in grouped
         }
         self.groups = [_Group(label, named[label], columns) for label, columns in grouped.items()]

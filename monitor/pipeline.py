@@ -104,7 +104,9 @@ class Pipeline:
         self._phase = FlightPhase(None if force else profile.identity)
         self._link = LinkAlarms(self.vehicle)
         self._excuses = Excuses(profile.excuses, self._link.affect)
-        sooner = seen_sooner({one.name: [fault.name for fault in one.faults] for one in profile.observers})
+        sooner = seen_sooner(
+            {observer.name: [fault.name for fault in observer.faults] for observer in profile.observers}
+        )
         self._chains = [
             ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._excuses, sooner[observer.name])
             for observer in profile.observers
@@ -324,7 +326,7 @@ class Pipeline:
         sent = command_sent(message.name, message.fields, now_ns / 1e9, message.system, message.component, self._system)
         flies = self._flies() or 0 <= now_ns - self._flown_ns < _LANDED_NS
         found = [] if sent is None else self._commands.follow(sent, flies)
-        return [event for one in found for event in self._link.commanded(one, now_ns)]
+        return [event for command in found for event in self._link.commanded(command, now_ns)]
 
     def _run_segment(self, arrivals: Arrivals, start: int, start_ns: int, outputs: list[Estimates | AlarmEvent]) -> int:
         """Process messages that only bring measurements, after what the first of them changed; return their end."""
@@ -545,7 +547,8 @@ def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:
     """Return the message that applies the desk's rule and a profile's alarm sizes from now on."""
     alarms = {
         observer.name: {
-            one.channel: {key: value for key, value in asdict(one).items() if key in TUNABLE} for one in observer.alarms
+            alarm.channel: {key: value for key, value in asdict(alarm).items() if key in TUNABLE}
+            for alarm in observer.alarms
         }
         for observer in profile.observers
     }

@@ -159,8 +159,12 @@ class ObserverProfile:
     @property
     def usual_commands(self) -> tuple[float | None, ...]:
         """Of each fault the command with which its motor hovers, None where it is none of a motor."""
-        usual = {one.name: one.stopped_as for one in self.source.channels if one.stopped_as and one.stopped_as > 0.0}
-        return tuple(None if one.input is None else usual.get(one.name) for one in self.faults)
+        usual = {
+            channel.name: channel.stopped_as
+            for channel in self.source.channels
+            if channel.stopped_as and channel.stopped_as > 0.0
+        }
+        return tuple(None if fault.input is None else usual.get(fault.name) for fault in self.faults)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +242,9 @@ def read_profile(folder: str | Path) -> Profile:
         gate=gate,
         stale_s=root.number("stale_s", 2.0, at_least=0.05),
         observers=observers,
-        excuses=read_excuses(root.tables("excuses"), [rule.channel for one in observers for rule in one.alarms]),
+        excuses=read_excuses(
+            root.tables("excuses"), [rule.channel for observer in observers for rule in observer.alarms]
+        ),
         files=files,
         digest=_digest(files),
         identity=Identity(
@@ -404,9 +410,9 @@ def _signals(gains: Gains) -> tuple[object, ...]:
 def fault_channels(gains: Sequence[Gains]) -> tuple[FaultChannel, ...]:
     """Return the fault channels of a bank's gains together, actuators first."""
     found: dict[str, FaultChannel] = {}
-    for one in gains:
+    for gain in gains:
         for name, kind, unit, source in zip(
-            one.faults, one.fault_kinds, one.fault_units, one.fault_inputs, strict=True
+            gain.faults, gain.fault_kinds, gain.fault_units, gain.fault_inputs, strict=True
         ):
             found.setdefault(name, FaultChannel(name, "actuator" if kind == "actuator" else "sensor", unit, source))
     return tuple(sorted(found.values(), key=lambda channel: channel.kind != "actuator"))

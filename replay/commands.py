@@ -188,7 +188,7 @@ def run_fit(args: argparse.Namespace) -> int:
     except (TelemetryError, ModelError, InfeasibleError) as error:
         raise type(error)(_about_logs(str(error), args.logs, args.model)) from error
     stages.flush()
-    damaged = _warn(one for path in args.logs for one in damage.get(path, ()))
+    damaged = _warn(part for path in args.logs for part in damage.get(path, ()))
     for warning in report.warnings:
         sys.stderr.write(f"fauio: {warning}\n")
     if report.set_aside is not None:
@@ -264,9 +264,9 @@ def _about_logs(line: str, logs: Sequence[Path], model: Path | None) -> str:
 def _warn(damaged: Iterable[Damage]) -> list[dict[str, Any]]:
     """Say on stderr what of recordings could not be read, a line for each file; return it for JSON."""
     damage = list(damaged)
-    for one in damage:
-        sys.stderr.write(f"fauio: {one.line()}; all else was read\n")
-    return [one.to_json() for one in damage]
+    for part in damage:
+        sys.stderr.write(f"fauio: {part.line()}; all else was read\n")
+    return [part.to_json() for part in damage]
 
 
 def _say(text: str) -> None:

@@ -153,7 +153,7 @@ def fit_profile(
     if vehicle.needs_model != (model is not None):
         raise UsageError(f"--vehicle {kind}: {'needs' if model is None else 'takes no'} --model MODEL.toml")
     read = _read(vehicle, logs, log_names or FitRequest(name, logs).names, before, force, stage)
-    surveys = tuple(one.survey for one in read.surveyed)
+    surveys = tuple(flight.survey for flight in read.surveyed)
     request = FitRequest(name, read.logs, surveys, model, read.names, rate_hz)
     own = _own_observer(vehicle, request, read.surveyed)
     stage(f"identified, designed and calibrated {own.fitted.name}")
@@ -162,14 +162,16 @@ def fit_profile(
     warnings = (*_slow(vehicle, surveys, observers), *_hidden(surveys, observers)) if surveys else ()
     measured = observers
     if capability:
-        measured = tuple(_measured(one, own.request, kind, own.gate) for one in observers)
+        measured = tuple(_measured(observer, own.request, kind, own.gate) for observer in observers)
         stage("measured what will be detected")
     report = FitReport(kind, measured, refused, warnings)
-    content = profile_content(name, kind, own.gate, report, common_identity(one.identity for one in read.surveyed))
+    content = profile_content(
+        name, kind, own.gate, report, common_identity(flight.identity for flight in read.surveyed)
+    )
     merged, edits = (content, []) if before is None else with_edits(content, before.kept.written, before.edited)
     set_aside = write_profile(folder, name, report, merged)
-    wanted = {channel.message for one in observers for channel in one.source.channels} | FlightPhase.interests
-    wanted |= {BATTERY_MESSAGE} if any(one.supply is not None for one in observers) else set()
+    wanted = {channel.message for observer in observers for channel in observer.source.channels} | FlightPhase.interests
+    wanted |= {BATTERY_MESSAGE} if any(observer.supply is not None for observer in observers) else set()
     kept = () if before is None else before.kept.flights
     left_out = write_kept(folder, content, rate_hz, kept, read.added, wanted, update)
     if model is not None:
@@ -214,15 +216,15 @@ def _read(
 ) -> _ReadLogs:
     """Go through each recording once, and refuse what is of another vehicle or there twice."""
     flights = () if before is None else before.kept.flights
-    stored = [] if before is None else [partial(one.batches, before.folder) for one in flights]
+    stored = [] if before is None else [partial(flight.batches, before.folder) for flight in flights]
     sources = kept_logs([*stored, *logs])
-    names = (*(one.name for one in flights), *log_names)
+    names = (*(flight.name for flight in flights), *log_names)
     added: list[tuple[str, Extent]] = []
     surveyed: list[SurveyedLog] = []
     for number, (log, log_name) in enumerate(zip(sources, names, strict=True)):
         if number >= len(flights):
             added.append((Path(log_name).name, extent_of(log)))
-            _check_new(added[-1], [*((one.name, one.span) for one in flights), *added[:-1]])
+            _check_new(added[-1], [*((flight.name, flight.span) for flight in flights), *added[:-1]])
         if not kind.needs_model:
             surveyed.append(survey_log(log_name, log, None if before is None else before.profile.identity))
             if not force:
@@ -230,8 +232,8 @@ def _read(
         stage(f"read {log_name} ({number + 1} of {len(names)})")
     if not kind.needs_model:
         sources = [partial(_of_one_vehicle, log) for log in sources]
-    new = [(*one, log) for one, log in zip(added, sources[len(flights) :], strict=True)]
-    return _ReadLogs(sources, [Path(one).name for one in names], surveyed, new)
+    new = [(*flight, log) for flight, log in zip(added, sources[len(flights) :], strict=True)]
+    return _ReadLogs(sources, [Path(name).name for name in names], surveyed, new)
 
 
 class _OwnObserver(NamedTuple):
@@ -248,7 +250,7 @@ def _own_observer(kind: VehicleKind, request: FitRequest, surveyed: Sequence[Sur
     try:
         fitted, gate = load(kind.fit)(request)
     except UntoldError as error:
-        if any(_is_another(kind, one.identity.vehicle_type) for one in surveyed):
+        if any(_is_another(kind, flight.identity.vehicle_type) for flight in surveyed):
             raise
         # what the recordings tell of the sensors is no worse for it
         try:
@@ -344,7 +346,7 @@ def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
     last = surveyed[-1]
     says = last.identity.vehicle_type
     if _is_another(kind, says):
-        mend = "".join(f"fit it with --vehicle {one.name}, " for one in likely_kinds(KINDS, says))
+        mend = "".join(f"fit it with --vehicle {kind.name}, " for kind in likely_kinds(KINDS, says))
         raise OtherVehicleError(
             f"{last.name}: says it is a {says}, which is no {kind.name}; {mend}or go on with --force"
         )

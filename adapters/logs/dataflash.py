@@ -248,7 +248,7 @@ class DataflashReader:
         names = columns.split(",") if columns else []
         kind = _layout(name, codes, names, length - _HEAD_BYTES)
         # any instance of the kind may be wanted
-        wanted = self._only is None or any(one.partition("/")[0] == name for one in self._only)
+        wanted = self._only is None or any(wanted_name.partition("/")[0] == name for wanted_name in self._only)
         return _Format(RecordKind(name, kind, wanted), length, tuple(names))
 
     def _stands(self, window: Window, ahead: int) -> bool:

@@ -144,7 +144,7 @@ class MessageRule:
     def topics(self) -> frozenset[str]:
         """Names of all records that fill the message."""
         topics = {*self.instances, *(field.topic for field in self.fields if field.channel is not None)}
-        topics = topics.union(*(one.topics for one in self.further))
+        topics = topics.union(*(rule.topics for rule in self.further))
         return frozenset(topics if self.before is None else topics | {PARAMETERS})
 
     def text(self) -> str:
@@ -156,10 +156,10 @@ class MessageRule:
         """Return whether a log with such records has all that is needed."""
         needed = {self.topic, *(topic for topic, required in self.linear.items() if required)}
         return needed <= examples.keys() and all(
-            follow(examples[field.topic], field.channel.path) is not None
-            for one in self.fields
-            for field in one.places()
-            if field.channel is not None and field.required and field.topic in needed
+            follow(examples[place.topic], place.channel.path) is not None
+            for field in self.fields
+            for place in field.places()
+            if place.channel is not None and place.required and place.topic in needed
         )
 
 
@@ -257,8 +257,8 @@ def _rule(message: str, kinds: Mapping[str, tuple[str, int]], table: Table) -> M
                 table.mistake(name, f"is text, which cannot be filled, or a list of more than {length}")
             elements = elements[:length]
             rest = [None] * (length - len(elements))
-            fields += (_field(f"{name}[{k}]", code, topic, one) for k, one in enumerate([*elements, *rest]))
-    further = tuple(_rule(message, kinds, one) for one in table.tables("further")) if table.has("further") else ()
+            fields += (_field(f"{name}[{k}]", code, topic, element) for k, element in enumerate([*elements, *rest]))
+    further = tuple(_rule(message, kinds, entry) for entry in table.tables("further")) if table.has("further") else ()
     table.done()
     repeat_ns = None if isnan(repeat_s) else round(repeat_s * 1e9)
     return MessageRule(message, topic, tuple(fields), repeat_ns, moves, further)

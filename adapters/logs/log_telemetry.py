@@ -146,7 +146,7 @@ class _Telemetry:
             stamps_ns = own_stamps_ns(columns.fields, len(columns.position))
             timed = stamps_ns != NO_TIME
             relations = np.unique(columns.received_ns[timed] - stamps_ns[timed], return_counts=True)
-            self._relations.update(dict(zip(*(one.tolist() for one in relations), strict=True)))
+            self._relations.update(dict(zip(*(relation.tolist() for relation in relations), strict=True)))
         for message in batch.others.values():
             known = parameter(message) if message.name == PARAMETERS else None
             if known is not None and int(known[1]) & _LOGGED_DISARMED.get(known[0], 0):
@@ -166,9 +166,9 @@ class _Telemetry:
     def choose(self) -> None:
         """Decide for the messages that what was counted can fill."""
         for name, rule in self._open.guess(self._counts, self._examples).items():
-            further = (one for one in rule.further if one.fillable(self._examples))
-            for one in (self._moving(rule), *further):
-                self._fillers.append(self._filler(one))
+            further = (addition for addition in rule.further if addition.fillable(self._examples))
+            for filled in (self._moving(rule), *further):
+                self._fillers.append(self._filler(filled))
             self._open = LogMapping({key: tried for key, tried in self._open.rules.items() if key != name})
 
     def _moving(self, rule: MessageRule) -> MessageRule:
@@ -195,7 +195,7 @@ class _Telemetry:
             if rule.before is not None:
                 values = rule.before
                 begin = values[self._logged_disarmed] if first is None else values[first == values[0]]
-                self._fillers[-1].begin({one.name: begin for one in rule.fields if one.before})
+                self._fillers[-1].begin({field.name: begin for field in rule.fields if field.before})
 
     def _filler(self, rule: MessageRule) -> _Filler:
         self._chosen(rule)
@@ -219,11 +219,11 @@ class _Telemetry:
         """Return what records make by the rules in use; the first ``counted`` of them are counted already."""
         self._count(cut(batch, counted, batch.count) if counted else batch)
         times_ns = _times_ns(batch)
-        columns = [one for filler in self._fillers for one in filler.run(batch, times_ns, self._passed)]
+        columns = [column for filler in self._fillers for column in filler.run(batch, times_ns, self._passed)]
         only = self._only
-        for one in batch.columns:
-            if only is None or one.name in only:
-                columns.append(replace(one, position=_place(self._passed + one.position)))
+        for column in batch.columns:
+            if only is None or column.name in only:
+                columns.append(replace(column, position=_place(self._passed + column.position)))
         others = {
             int(_place(self._passed + at)): message
             for at, message in batch.others.items()
@@ -231,20 +231,26 @@ class _Telemetry:
         }
         self._passed += batch.count
         end = _place(self._passed)
-        yield from self._in_order(columns, others, min((one.complete_until(end) for one in self._fillers), default=end))
+        yield from self._in_order(
+            columns, others, min((filler.complete_until(end) for filler in self._fillers), default=end)
+        )
 
     def finish(self) -> Iterator[Batch]:
         """Return what still waits."""
-        made = [one for filler in self._fillers for one in filler.finish()]
+        made = [column for filler in self._fillers for column in filler.finish()]
         yield from self._in_order(made, {}, _place(self._passed))
 
     def _in_order(self, columns: Sequence[Columns], others: Mapping[int, Message], end: int) -> Iterator[Batch]:
         """Return what is at places of :func:`_place` before an end, of now and before; keep the rest."""
         columns = [*self._later[0], *columns]
         others = {**self._later[1], **others}
-        cuts = [int(np.searchsorted(one.position, end)) for one in columns]
-        now = [_part(one, slice(0, at)) for one, at in zip(columns, cuts, strict=True) if at]
-        later = [_part(one, slice(at, None)) for one, at in zip(columns, cuts, strict=True) if at < len(one.position)]
+        cuts = [int(np.searchsorted(column.position, end)) for column in columns]
+        now = [_part(column, slice(0, at)) for column, at in zip(columns, cuts, strict=True) if at]
+        later = [
+            _part(column, slice(at, None))
+            for column, at in zip(columns, cuts, strict=True)
+            if at < len(column.position)
+        ]
         self._later = later, {at: message for at, message in others.items() if at >= end}
         batch = gathered(now, {at: message for at, message in others.items() if at < end})
         if batch.count:
@@ -347,13 +353,19 @@ class _Filler:
         self._rule = rule
         self._number = number
         self._unix_minus_boot_ns = unix_minus_boot_ns
-        self._own = [one for one in rule.fields if one.channel is None or not one.joined]
+        self._own = [field for field in rule.fields if field.channel is None or not field.joined]
         self._linear = {
-            topic: [one for one in rule.fields if one.topic == topic and one.joined and one.channel is not None]
+            topic: [
+                field for field in rule.fields if field.topic == topic and field.joined and field.channel is not None
+            ]
             for topic in sorted(rule.linear)
         }
-        held = {one.topic for one in rule.fields if one.joined and one.channel is not None} - self._linear.keys()
-        self._held = {topic: [one for one in rule.fields if one.joined and one.topic == topic] for topic in held}
+        held = {
+            field.topic for field in rule.fields if field.joined and field.channel is not None
+        } - self._linear.keys()
+        self._held = {
+            topic: [field for field in rule.fields if field.joined and field.topic == topic] for topic in held
+        }
         self._last_held: dict[str, _Series] = {}
         # records that values are interpolated between, and messages that wait for more of them
         self._rows: dict[str, _Series] = {}
@@ -363,10 +375,10 @@ class _Filler:
     def begin(self, begin: Mapping[str, int]) -> None:
         """Send a message with the first record, with these values where there are any."""
         values = {
-            one.name: begin.get(one.name, one.unknown if one.constant is None else one.constant)
-            for one in self._rule.fields
+            field.name: begin.get(field.name, field.unknown if field.constant is None else field.constant)
+            for field in self._rule.fields
         }
-        fields = {one.name: np.array([values[one.name]], np.dtype(f"<{one.code}")) for one in self._rule.fields}
+        fields = {field.name: np.array([values[field.name]], np.dtype(f"<{field.code}")) for field in self._rule.fields}
         self._last = _LONG_AGO_NS, fields
 
     def run(self, batch: Batch, times_ns: Integers, passed: int) -> Iterator[Columns]:
@@ -409,12 +421,12 @@ class _Filler:
             order = np.argsort(place)
             fields: dict[str, NDArray[Any]] = {}
             arrays: dict[str, list[NDArray[Any]]] = {}
-            for one in self._rule.fields:
-                values = np.concatenate([values[one.name] for _, _, values in pieces])[order]
-                if one.array is None:
-                    fields[one.name] = values
+            for field in self._rule.fields:
+                values = np.concatenate([values[field.name] for _, _, values in pieces])[order]
+                if field.array is None:
+                    fields[field.name] = values
                 else:
-                    arrays.setdefault(one.array, []).append(values)
+                    arrays.setdefault(field.array, []).append(values)
             fields |= {name: np.stack(elements, axis=1) for name, elements in arrays.items()}
             received_ns = np.concatenate([times for _, times, _ in pieces])[order]
             yield Columns(MAVLINK, self._rule.message, _SYSTEM, _COMPONENT, place[order], received_ns, fields)
@@ -425,19 +437,19 @@ class _Filler:
         count = len(records.position)
         values: dict[str, NDArray[Any]] = {}
         valid = np.ones(count, np.bool_)
-        for one in self._own:
-            number, known = _values(one, records)
-            values[one.name] = self._stamped(one, _carried(one, number, known), records.received_ns)
-            if one.channel is not None and one.values is not None:
+        for own in self._own:
+            number, known = _values(own, records)
+            values[own.name] = self._stamped(own, _carried(own, number, known), records.received_ns)
+            if own.channel is not None and own.values is not None:
                 valid &= known
         for topic, fields in self._held.items():
             row, held = self._newest(batch, topic, fields, records.position)
-            for one in fields:
+            for field in fields:
                 known = row >= 0
                 number = np.zeros(count)
                 if len(held):
-                    number, known = held.values[one.name][row], held.known[one.name][row] & known
-                values[one.name] = _carried(one, number, known)
+                    number, known = held.values[field.name][row], held.known[field.name][row] & known
+                values[field.name] = _carried(field, number, known)
         return _Series(records.position + passed, records.received_ns, values, {}).rows(valid)
 
     def _stamped(self, field: FieldRule, values: NDArray[Any], received_ns: Integers) -> NDArray[Any]:
@@ -497,12 +509,12 @@ class _Filler:
         for k, (topic, fields) in enumerate(self._linear.items()):
             left, right = pair[:, k, 0], pair[:, k, 1]
             rows = self._rows.get(topic)
-            for one in fields:
+            for field in fields:
                 number, known = np.zeros(len(made)), np.zeros(len(made), np.bool_)
                 if rows is not None and len(rows):
-                    number, known = _between(one, rows, left, right, made.received_ns)
+                    number, known = _between(field, rows, left, right, made.received_ns)
                     known &= left >= 0
-                values[one.name] = _carried(one, number, known)
+                values[field.name] = _carried(field, number, known)
         return _Series(made.position, made.received_ns, values, {})
 
     def _repeated(self, made: _Series, times_ns: Integers, passed: int) -> list[_Piece]:
@@ -525,7 +537,7 @@ class _Filler:
                     self._last = sent_ns, values
             if number < len(made):
                 row = slice(number, number + 1)
-                self._last = int(made.received_ns[number]), {name: one[row] for name, one in made.values.items()}
+                self._last = int(made.received_ns[number]), {name: values[row] for name, values in made.values.items()}
                 start = position + 1
         return pieces
 
@@ -632,12 +644,12 @@ class _Recorded:
     @classmethod
     def of(cls, batch: Batch, name: str) -> _Recorded:
         """Return the records of a name in a batch."""
-        groups = [one for one in batch.columns if one.name == name]
+        groups = [column for column in batch.columns if column.name == name]
         others = {at: message for at, message in batch.others.items() if message.name == name}
         if len(groups) == 1 and not others:
             return cls(groups[0].position, groups[0].received_ns, groups[0], ())
-        for one in groups:
-            others |= {int(at): one_message(one, row) for row, at in enumerate(one.position)}
+        for group in groups:
+            others |= {int(at): one_message(group, row) for row, at in enumerate(group.position)}
         at = sorted(others)
         messages = [others[position] for position in at]
         times_ns = np.array([message.received_ns for message in messages], np.int64)
@@ -655,20 +667,20 @@ class _Recorded:
                 return None
             return values[:, place]
         raw = [follow(message.fields, path) for message in self.messages]
-        if raw and all(isinstance(one, list) and len(one) == len(raw[0]) for one in raw):
+        if raw and all(isinstance(value, list) and len(value) == len(raw[0]) for value in raw):
             values = np.array(raw)
-        elif all(type(one) is bool for one in raw):
+        elif all(type(value) is bool for value in raw):
             values = np.array(raw, np.bool_)
-        elif all(isinstance(one, int) for one in raw):
-            values = np.array([int(one) for one in raw])
+        elif all(isinstance(value, int) for value in raw):
+            values = np.array([int(value) for value in raw])
         else:
-            values = np.array([one if type(one) in (int, float) else np.nan for one in raw], np.float64)
+            values = np.array([value if type(value) in (int, float) else np.nan for value in raw], np.float64)
         return values if values.dtype.kind in "biuf" else None
 
 
 def _series(records: _Recorded, fields: Sequence[FieldRule]) -> _Series:
     """Return the values of some fields of records."""
-    columns = {one.name: _values(one, records) for one in fields}
+    columns = {field.name: _values(field, records) for field in fields}
     return _Series(
         records.position,
         records.received_ns,
@@ -771,9 +783,9 @@ def _first_state(
         starts: list[tuple[int, int, int]] = []
         for k, rule in enumerate(rules):
             records = _Recorded.of(batch, rule.topic)
-            for one in rule.fields:
-                number, known = _values(one, records)
-                if one.before:
+            for field in rule.fields:
+                number, known = _values(field, records)
+                if field.before:
                     starts += [(int(records.position[row]), k, int(number[row])) for row in np.flatnonzero(known)[:1]]
         if starts:
             _, k, value = min(starts)

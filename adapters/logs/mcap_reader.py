@@ -319,9 +319,9 @@ class MessageLogReader:
 def _first(data: Iterator[_Raw], count: int) -> Iterator[_Raw]:
     """Yield the next ``count`` records, fewer where they are large."""
     size = 0
-    for one in islice(data, count):
-        yield one
-        size += len(one[-1])
+    for message in islice(data, count):
+        yield message
+        size += len(message[-1])
         if size >= _BATCH_BYTES:
             return
 

@@ -104,15 +104,15 @@ class RecordLayout:
     def columns(self, records: NDArray[np.void]) -> dict[str, FieldValues]:
         """Return the fields of n records by name: an array of n rows, or a list of n values that are no numbers."""
         columns: dict[str, FieldValues] = {}
-        for one in self.fields:
-            values = np.ascontiguousarray(records[one.name])
-            columns[one.name] = values if one.convert is None else one.convert(values)
+        for part in self.fields:
+            values = np.ascontiguousarray(records[part.name])
+            columns[part.name] = values if part.convert is None else part.convert(values)
         return columns
 
     def rows(self, records: NDArray[np.void]) -> list[dict[str, Any]]:
         """Return the fields of n records, one mapping for each."""
         columns = self.columns(records)
-        values = [one if isinstance(one, list) else one.tolist() for one in columns.values()]
+        values = [column if isinstance(column, list) else column.tolist() for column in columns.values()]
         return [dict(zip(columns, (column[row] for column in values), strict=True)) for row in range(len(records))]
 
 
@@ -277,7 +277,7 @@ class StartScan(LogClock):
             The time that the head of the file says.
         """
         for _ in batches:
-            if sum(len(one) for ones in self._stamps.values() for one in ones) >= _SCANNED:
+            if sum(len(stamps_ns) for ones in self._stamps.values() for stamps_ns in ones) >= _SCANNED:
                 break
         stamps = {name: np.unique(np.concatenate(ones)) for name, ones in self._stamps.items()}
         every = np.unique(np.concatenate([np.empty(0, np.int64), *stamps.values()]))
@@ -285,12 +285,14 @@ class StartScan(LogClock):
             return LogStart(0 if head_ns is None or not 0 <= head_ns < LATEST_NS else head_ns)
         breaks = np.flatnonzero(np.diff(every) > _APART_NS)
         begins, ends = every[np.concatenate([[0], breaks + 1])], every[np.concatenate([breaks, [-1]])]
-        names = sum(np.isin(np.arange(len(begins)), np.searchsorted(ends, one)).astype(int) for one in stamps.values())
+        names = sum(
+            np.isin(np.arange(len(begins)), np.searchsorted(ends, stamp)).astype(int) for stamp in stamps.values()
+        )
         own = np.flatnonzero(2 * names > np.max(names))
         first, last = int(begins[own[0]]), int(ends[own[-1]])
         if head_ns is not None and first - _APART_NS <= head_ns <= int(ends[own[0]]):
             first = head_ns
-        foreign = {name for name, one in stamps.items() if len(later := one[one >= first]) and later[0] > last}
+        foreign = {name for name, times in stamps.items() if len(later := times[times >= first]) and later[0] > last}
         return LogStart(first, frozenset(foreign))
 
 
@@ -471,7 +473,7 @@ def first_relation(
         none: the relation, nanoseconds (n,), and whether it can be one (n,).
     """
     for batch in batches:
-        rows = [(one.position, one.received_ns, one.fields) for one in batch.columns]
+        rows = [(column.position, column.received_ns, column.fields) for column in batch.columns]
         rows += [
             (
                 np.array([at]),
@@ -501,7 +503,7 @@ def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> RecordL
 
     Of fields of the same name the last one counts.
     """
-    by_name = {one.name: (one, kind, at) for one, kind, at in fields}
+    by_name = {field_name.name: (field_name, kind, at) for field_name, kind, at in fields}
     dtype = np.dtype(
         {
             "names": list(by_name),
@@ -510,7 +512,7 @@ def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> RecordL
             "itemsize": size,
         }
     )
-    return RecordLayout(dtype, tuple(one for one, _, _ in by_name.values()))
+    return RecordLayout(dtype, tuple(field_name for field_name, _, _ in by_name.values()))
 
 
 def truth(values: NDArray[Any]) -> NDArray[np.bool_]:

@@ -205,7 +205,7 @@ class MavlinkLink:
         """Return the counts so far."""
         lost = self._sequences.lost()
         scanners = list(self._scanners.values())
-        counts = {name: self._counts[name] + sum(getattr(one, name) for one in scanners) for name in _COUNTS}
+        counts = {name: self._counts[name] + sum(getattr(scanner, name) for scanner in scanners) for name in _COUNTS}
         return MavlinkLinkStatistics(
             messages=self._messages,
             lost=sum(lost.values()),

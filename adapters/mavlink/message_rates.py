@@ -237,10 +237,14 @@ def _next_request(vehicle: _Vehicle, now_ns: int) -> RequestedRate | None:
     if vehicle.waiting is not None and now_ns < vehicle.waiting_until_ns:
         return None
     vehicle.waiting = None
-    due = [one for one in vehicle.requests.values() if one.low and not one.refused and now_ns >= one.not_before_ns]
+    due = [
+        request
+        for request in vehicle.requests.values()
+        if request.low and not request.refused and now_ns >= request.not_before_ns
+    ]
     if not due:
         return None
-    request = min(due, key=lambda one: one.not_before_ns)
+    request = min(due, key=lambda request: request.not_before_ns)
     request.sent(now_ns)
     vehicle.waiting, vehicle.waiting_until_ns = request, now_ns + _ACK_NS
     return request

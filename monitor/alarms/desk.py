@@ -465,7 +465,7 @@ def _joined(entry: _Active, event: AlarmEvent) -> AlarmEvent:
     return replace(
         event,
         message="; ".join([*own, *(finding.message for finding in findings)]),
-        severity="critical" if any(one.severity == "critical" for one in (event, *findings)) else event.severity,
+        severity="critical" if any(raised.severity == "critical" for raised in (event, *findings)) else event.severity,
         part=findings[-1].channel if findings else event.part,
     )
 

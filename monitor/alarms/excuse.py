@@ -146,8 +146,8 @@ class Excuses:
         jumps = {alarm for _, alarm in self._jumps.get(channel, ())}
         for alarm in alarms:
             _, sooner, for_s = self._beside.get(alarm, ("", frozenset[str](), 0.0))
-            named = any(self._named.get(observer) for observer in sooner)
-            after = [_about(self._named_until_ns[one], for_s) for one in sooner if one in self._named_until_ns]
+            named, until_ns = any(self._named.get(observer) for observer in sooner), self._named_until_ns
+            after = [_about(until_ns[observer], for_s) for observer in sooner if observer in until_ns]
             times = np.concatenate([ended if alarm in jumps else spans, np.array(after, np.int64).reshape(-1, 2)])
             alarm.set_excuse(now or named or alarm in self._forged, times)
 

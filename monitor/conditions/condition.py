@@ -23,4 +23,4 @@ class FlightCondition:
 
 def latest_conditions(found: Iterable[FlightCondition]) -> list[FlightCondition]:
     """Return the last condition of each name."""
-    return list({one.name: one for one in found}.values())
+    return list({condition.name: condition for condition in found}.values())

@@ -44,13 +44,15 @@ class Conditions:
     def __init__(
         self, profile: Profile, motors: ObserverProfile, inertial: ObserverProfile, clock: VehicleClock
     ) -> None:
-        commands = [one for one in motors.source.signals or motors.source.inputs if _MOTOR.fullmatch(one.name)]
-        signals = {one.name: one for one in inertial.source.signals}
+        commands = [signal for signal in motors.source.signals or motors.source.inputs if _MOTOR.fullmatch(signal.name)]
+        signals = {signal.name: signal for signal in inertial.source.signals}
         source = SampleSource(inputs=(*commands, *(signals[name] for name in SIGNALS)))
         self._sampler = GatedSampler(source, _FASTEST_HZ, clock, profile.gate)
         rule = inertial.source.transform
         pressed = rule is not None and rule.parameters.get("barometer") == _HECTOPASCAL
-        self._half_seconds = HalfSeconds(_arms(motors, [one.name for one in commands]), _METRES if pressed else 1.0)
+        self._half_seconds = HalfSeconds(
+            _arms(motors, [command.name for command in commands]), _METRES if pressed else 1.0
+        )
         self._load, self._wind, self._pressure = Load(_exponents(motors), profile.mass_kg), Wind(), Pressure()
         self._motors, self._number = len(commands), -1
         self.found: deque[FlightCondition] = deque(maxlen=_KEPT)
@@ -86,9 +88,14 @@ class Conditions:
 
 def make_conditions(profile: Profile, clock: VehicleClock) -> Conditions | None:
     """Return what follows the conditions of a profile's vehicle; None where it has not the signals, or too seldom."""
-    motors = next((one for one in profile.observers if one.name == "motors"), None)
+    motors = next((observer for observer in profile.observers if observer.name == "motors"), None)
     inertial = next(
-        (one for one in profile.observers if set(SIGNALS) <= {channel.name for channel in one.source.signals}), None
+        (
+            observer
+            for observer in profile.observers
+            if set(SIGNALS) <= {channel.name for channel in observer.source.signals}
+        ),
+        None,
     )
     if motors is None or inertial is None or inertial.source.transform is None:
         return None

@@ -66,7 +66,7 @@ class Load:
         self._window.append(mean)
         if len(self._window) < _BEFORE + _JUMP + _AFTER:
             return None
-        l = np.array([one.load for one in self._window])  # noqa: E741 - as in the formula
+        l = np.array([row.load for row in self._window])  # noqa: E741 - as in the formula
         before, after = l[:_BEFORE], l[-_AFTER:]
         change = float(np.median(after) - np.median(before))
         spread = max(float(np.ptp(part.reshape(-1, 2).mean(axis=1))) for part in (before, after))
@@ -76,7 +76,7 @@ class Load:
             return None
         if abs(self._climb(slice(-_AFTER, None)) - self._climb(slice(None, _BEFORE))) > _CLIMB:
             return None
-        speed = np.array([one.speed for one in self._window])
+        speed = np.array([row.speed for row in self._window])
         if abs(float(np.median(speed[-_AFTER:]) - np.median(speed[:_BEFORE]))) > _SPEED:
             return None
         found = self._condition(change, spread)
@@ -111,7 +111,7 @@ class Load:
 
     def _shift(self, rows: list[HalfSecond]) -> NDArray[np.float64]:
         """Return by how much of an arm the thrust, and with it the weight, moved forward and right."""
-        moments = np.array([one.moments for one in rows])
+        moments = np.array([row.moments for row in rows])
         middle = sum(self._exponents) / 2.0
         return middle * np.asarray(np.median(moments[-_AFTER:], axis=0) - np.median(moments[:_BEFORE], axis=0))
 

@@ -105,7 +105,7 @@ class VehicleHistory:
     def take_status(self, payload: Mapping[str, Any], mode: str) -> None:
         """Take a status, once a second, with the name of the flight mode."""
         time_s = number(payload.get("time_ns")) / 1e9
-        link = next((one for one in mapping(payload.get("links")).values() if isinstance(one, Mapping)), {})
+        link = next((figures for figures in mapping(payload.get("links")).values() if isinstance(figures, Mapping)), {})
         facts = mapping(payload.get("facts"))
         row = [number((payload if name in payload else link).get(name)) for name in _LINK]
         row += [*_place(facts.get("position")), *_place(facts.get("gps"))]
@@ -116,7 +116,7 @@ class VehicleHistory:
         if mode and (not modes or modes[-1]["mode"] != mode) and math.isfinite(time_s):
             self._add("modes", {"time_s": time_s, "mode": mode})
         texts = facts.get("texts")
-        known = {(one["time_s"], one["text"]) for one in self._entries["texts"]}
+        known = {(entry["time_s"], entry["text"]) for entry in self._entries["texts"]}
         for text in texts[-MAX_ENTRIES:] if isinstance(texts, list) else ():
             if not isinstance(text, Mapping) or not isinstance(said := text.get("text"), str):
                 continue
@@ -183,7 +183,7 @@ def _sizes(value: object) -> dict[str, float]:
 
 
 def _place(value: object) -> list[float]:
-    return [number(one) for one in value] if isinstance(value, list) and len(value) == 3 else [math.nan] * 3
+    return [number(element) for element in value] if isinstance(value, list) and len(value) == 3 else [math.nan] * 3
 
 
 def mapping(value: object) -> Mapping[str, Any]:

@@ -50,7 +50,7 @@ def installed_version(name: str) -> str | None:
 def version_text() -> str:
     """Return what ``fauio --version`` prints: this program in the first line, a library in each of the others."""
     lines = [f"fauio {version('fauio')} (Python {platform.python_version()}, {platform.system()} {platform.machine()})"]
-    installed = {one.name: one.installed for one in libraries() if one.installed is not None}
+    installed = {library.name: library.installed for library in libraries() if library.installed is not None}
     width = max(map(len, installed), default=0)
     lines += [f"  {name:<{width}}  {number}" for name, number in sorted(installed.items())]
     return "\n".join(lines) + "\n"

@@ -122,24 +122,25 @@ class Agreement:
     def lines(self) -> list[str]:
         """Return a line for each flight that disagrees."""
         return [
-            f"{one.name} disagrees with the other flights{' and is left out' if one.left_out else ''}: {self._why(one)}"
-            for one in self.verdicts
-            if one.disagrees
+            f"{verdict.name} disagrees with the other flights{' and is left out' if verdict.left_out else ''}: "
+            f"{self._why(verdict)}"
+            for verdict in self.verdicts
+            if verdict.disagrees
         ]
 
     @property
     def left_out(self) -> frozenset[str]:
         """Names of the flights that are left out."""
-        return frozenset(one.name for one in self.verdicts if one.left_out)
+        return frozenset(verdict.name for verdict in self.verdicts if verdict.left_out)
 
     def details(self) -> list[str]:
         """Return a line for each flight: how long it is, what it counts, how it goes with the others."""
         found = [
-            f"{one.name}: {one.seconds:.0f} s, weight {100 * one.weight:.0f} %, chi-square {one.chi_square:.1f} of "
-            f"{one.freedom}"
-            + (f": disagrees, {self._why(one)}" if one.disagrees else "")
-            + ("; left out" if one.left_out else "")
-            for one in self.verdicts
+            f"{verdict.name}: {verdict.seconds:.0f} s, weight {100 * verdict.weight:.0f} %, "
+            f"chi-square {verdict.chi_square:.1f} of {verdict.freedom}"
+            + (f": disagrees, {self._why(verdict)}" if verdict.disagrees else "")
+            + ("; left out" if verdict.left_out else "")
+            for verdict in self.verdicts
         ]
         return ["flights, each against the others:", *(f"  {line}" for line in found)] if found else []
 
@@ -148,33 +149,33 @@ class Agreement:
         names = [effect.name for effect in self.effects]
         return [
             {
-                "flight": one.name,
-                "seconds": one.seconds,
-                "weight": one.weight,
-                "chi_square": one.chi_square,
-                "degrees_of_freedom": one.freedom,
-                "chance": one.chance,
-                "disagrees": one.disagrees,
-                "left_out": one.left_out,
-                "apart": dict(zip(names, one.apart.tolist(), strict=True)),
-                "sigma": dict(zip(names, one.sigma.tolist(), strict=True)),
+                "flight": verdict.name,
+                "seconds": verdict.seconds,
+                "weight": verdict.weight,
+                "chi_square": verdict.chi_square,
+                "degrees_of_freedom": verdict.freedom,
+                "chance": verdict.chance,
+                "disagrees": verdict.disagrees,
+                "left_out": verdict.left_out,
+                "apart": dict(zip(names, verdict.apart.tolist(), strict=True)),
+                "sigma": dict(zip(names, verdict.sigma.tolist(), strict=True)),
             }
-            for one in self.verdicts
+            for verdict in self.verdicts
         ]
 
-    def _why(self, one: FlightVerdict) -> str:
-        if one.of_part is not None:
-            return one.of_part
-        if one.cause is not None:
-            text, share, sigma = one.cause
+    def _why(self, verdict: FlightVerdict) -> str:
+        if verdict.of_part is not None:
+            return verdict.of_part
+        if verdict.cause is not None:
+            text, share, sigma = verdict.cause
             return f"{text.format(f'{100 * share:.0f} %')} ({sigma:.0f} sigma)"
-        order = np.argsort(-np.abs(one.sigma))[:_MOST_NAMED]
-        named = [k for k in order if abs(one.sigma[k]) >= _SIGMA] or order[:1].tolist()
+        order = np.argsort(-np.abs(verdict.sigma))[:_MOST_NAMED]
+        named = [k for k in order if abs(verdict.sigma[k]) >= _SIGMA] or order[:1].tolist()
         said = [
-            (self.effects[k].more if one.apart[k] > 0.0 else self.effects[k].less).format(
-                f"{100 * abs(one.apart[k]):.0f} %"
+            (self.effects[k].more if verdict.apart[k] > 0.0 else self.effects[k].less).format(
+                f"{100 * abs(verdict.apart[k]):.0f} %"
             )
-            + f" ({abs(one.sigma[k]):.0f} sigma)"
+            + f" ({abs(verdict.sigma[k]):.0f} sigma)"
             for k in named
         ]
         return ", ".join(said)
@@ -202,7 +203,7 @@ def agreement(
     verdicts: list[FlightVerdict] = []
     while len(speaking) > 1:
         verdicts = [_verdict(speaking, at, left, usual, causes) for at in range(len(speaking))]
-        far = [at for at, one in enumerate(verdicts) if at not in left and _is_far(one)]
+        far = [at for at, verdict in enumerate(verdicts) if at not in left and _is_far(verdict)]
         if not far or len(left) >= most:
             break
         left.add(max(far, key=lambda at: verdicts[at].chi_square))
@@ -210,8 +211,8 @@ def agreement(
     return Agreement(
         tuple(effects),
         tuple(
-            replace(one, left_out=at in left, weight=share)
-            for at, (one, share) in enumerate(zip(verdicts, shares, strict=False))
+            replace(verdict, left_out=at in left, weight=share)
+            for at, (verdict, share) in enumerate(zip(verdicts, shares, strict=False))
         ),
         silent,
     )
@@ -266,9 +267,9 @@ def _verdict(
 ) -> FlightVerdict:
     """Compare a flight with the others that are not left out; it is one of so many that may disagree by chance."""
     flight = flights[at]
-    others = [one for number, one in enumerate(flights) if number != at and number not in left]
-    values = np.array([one.values for one in others])
-    variances = np.array([np.diag(one.covariance) for one in others])
+    others = [flight for number, flight in enumerate(flights) if number != at and number not in left]
+    values = np.array([other.values for other in others])
+    variances = np.array([np.diag(other.covariance) for other in others])
     tau2 = _scatter(values, variances, usual)
     weight = 1.0 / (variances + tau2)
     apart = flight.values - (weight * values).sum(axis=0) / weight.sum(axis=0)
@@ -305,12 +306,12 @@ def _cause(
     return best
 
 
-def _is_far(one: FlightVerdict) -> bool:
-    shares, sigmas = list(np.abs(one.apart)), list(np.abs(one.sigma))
-    if one.cause is not None:
-        shares, sigmas = [*shares, one.cause[1]], [*sigmas, one.cause[2]]
+def _is_far(verdict: FlightVerdict) -> bool:
+    shares, sigmas = list(np.abs(verdict.apart)), list(np.abs(verdict.sigma))
+    if verdict.cause is not None:
+        shares, sigmas = [*shares, verdict.cause[1]], [*sigmas, verdict.cause[2]]
     far = (share >= _FAR and sigma >= _FAR_SIGMA for share, sigma in zip(shares, sigmas, strict=True))
-    return one.disagrees and any(far)
+    return verdict.disagrees and any(far)
 
 
 def _weights(flights: Sequence[FlightEffects], left: Collection[int], usual: FloatArray) -> list[float]:

@@ -80,10 +80,10 @@ def bank_rule(
         mean = exponential_mean(raw.reshape(len(raw), -1), keep).reshape(raw.shape)
         smoothed.append(mean[settled:])
     residuals = list(np.moveaxis(np.concatenate(smoothed), 1, 0))
-    watched = tuple(any(name in edges for name in one.faults) for one in bank)
+    watched = tuple(any(name in edges for name in member.faults) for member in bank)
     least = 0.0 if noise is None else np.diag((_NOISE_SHARE * noise) ** 2)
     covariances = tuple(residual.T @ residual / len(residual) + least for residual in residuals)
-    fewest = smallest([one.faults for one in bank])
+    fewest = smallest([member.faults for member in bank])
     scores = np.array(
         [
             np.where(edge, np.inf, np.linalg.norm(residual @ W.T, axis=1))
@@ -97,7 +97,7 @@ def bank_rule(
         usual_score=float(f"{np.sqrt(np.mean(scores.min(axis=0) ** 2)):.4g}"),
         level_s=level_s,
         gain_penalty=_GAIN_PENALTY,
-        hypotheses=tuple(one.faults for one in bank),
+        hypotheses=tuple(member.faults for member in bank),
         covariances=covariances,
         edges=watched,
         washouts=washouts or {},

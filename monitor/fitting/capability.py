@@ -32,19 +32,19 @@ class Capability:
     detections: tuple[Detection, ...]  # all sizes tried, ascending; empty where no healthy stretch is long enough
 
 
-def capability_text(one: Capability) -> str:
+def capability_text(capability: Capability) -> str:
     """Return a line for people: ``motor1: 4 % within 1 s, 10 % within 0.25 s``."""
-    if not one.detections:
-        return f"{one.channel}: not measured, no healthy stretch in the logs is long and quiet enough"
+    if not capability.detections:
+        return f"{capability.channel}: not measured, no healthy stretch in the logs is long and quiet enough"
     parts: list[str] = []
-    fastest: dict[float, float] = {size: within for within, size in one.smallest if size is not None}
+    fastest: dict[float, float] = {size: within for within, size in capability.smallest if size is not None}
     for size, within in sorted(fastest.items()):
-        parts.append(f"{_size(one, size)} within {within:g} s")
+        parts.append(f"{_size(capability, size)} within {within:g} s")
     if not parts:
-        slowest = max(within for within, _ in one.smallest)
-        parts.append(f"nothing up to {_size(one, one.largest)} always and alone within {slowest:g} s")
-    return f"{one.channel}: {', '.join(parts)}"
+        slowest = max(within for within, _ in capability.smallest)
+        parts.append(f"nothing up to {_size(capability, capability.largest)} always and alone within {slowest:g} s")
+    return f"{capability.channel}: {', '.join(parts)}"
 
 
-def _size(one: Capability, size: float) -> str:
-    return f"{100 * size:g} %" if one.loss else size_text(size, one.unit)
+def _size(capability: Capability, size: float) -> str:
+    return f"{100 * size:g} %" if capability.loss else size_text(size, capability.unit)

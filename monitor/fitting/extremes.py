@@ -124,12 +124,12 @@ def return_level(
             f"rates of {rate_hz:g} Hz and {alarms_per_hour:g} alarms per hour must be positive "
             f"and a confidence of {confidence:g} between 0 and 1"
         )
-    stretches = [np.asarray(one, dtype=np.float64) for one in series if len(one)]
-    if not stretches or not all(np.all(np.isfinite(one)) for one in stretches):
+    stretches = [np.asarray(stretch, dtype=np.float64) for stretch in series if len(stretch)]
+    if not stretches or not all(np.all(np.isfinite(stretch)) for stretch in stretches):
         raise ValueError("the healthy statistic has no samples or one that is not finite")
     hours = sum(map(len, stretches)) / rate_hz / 3600.0
-    largest = max(float(one.max()) for one in stretches)
-    peaks = np.sort(np.concatenate([local_peaks(one, rate_hz, separation_s) for one in stretches]))[::-1]
+    largest = max(float(stretch.max()) for stretch in stretches)
+    peaks = np.sort(np.concatenate([local_peaks(stretch, rate_hz, separation_s) for stretch in stretches]))[::-1]
     peaks = peaks[peaks > 0.0]
     if not len(peaks):
         return ReturnLevel(max(largest, 0.0), 0.0, max(largest, 0.0), hours, 0)
@@ -188,7 +188,7 @@ def _posterior(
         log_density = np.where(inside > 0.0, -(1.0 + 1.0 / xi[:, None, None]) * np.log(inside), -np.inf)
     log_posterior = log_density.sum(axis=-1) - len(excess) * np.log(sigma) - 0.5 * (xi[:, None] / _SHAPE_STD) ** 2
     weights = np.exp(log_posterior - log_posterior.max())
-    xi, sigma = (one.ravel() for one in np.broadcast_arrays(xi[:, None], sigma))
+    xi, sigma = (array.ravel() for array in np.broadcast_arrays(xi[:, None], sigma))
     return xi, sigma, weights.ravel() / weights.sum()
 
 

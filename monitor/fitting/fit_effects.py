@@ -272,7 +272,9 @@ def _agreement(
             found.append(name)
             continue
         u = np.concatenate([segment.u[:-1] for segment in usable])
-        now, after = (np.concatenate([one.y[part] for one in usable]) for part in (slice(None, -1), slice(1, None)))
+        now, after = (
+            np.concatenate([segment.y[part] for segment in usable]) for part in (slice(None, -1), slice(1, None))
+        )
         offsets = np.broadcast_to(np.eye(n), (len(u), n, n))
         regressors = np.concatenate([u[:, None, places] * plant.B[:, places], offsets], axis=2)
         target = after - now @ plant.A.T - u[:, others] @ plant.B[:, others].T

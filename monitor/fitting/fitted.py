@@ -173,7 +173,10 @@ class Fitted:
 
     def table(self) -> dict[str, Any]:
         """Return the observer's part of profile.toml."""
-        sees = {one.channel: capability_text(one).removeprefix(f"{one.channel}: ") for one in self.capability}
+        sees = {
+            sensitivity.channel: capability_text(sensitivity).removeprefix(f"{sensitivity.channel}: ")
+            for sensitivity in self.capability
+        }
         return observer_table(self.profile(), sees)
 
     def write(self, folder: Path) -> None:
@@ -196,7 +199,10 @@ class Fitted:
             **({"flights": self.agreement.to_json()} if self.agreement is not None else {}),
             "sqrt_mu": self.sqrt_mu,
             "alarms": {found.rule.channel: _alarm_report(found) for found in self.alarms},
-            "capability": {one.channel: asdict(one) | {"text": capability_text(one)} for one in self.capability},
+            "capability": {
+                sensitivity.channel: asdict(sensitivity) | {"text": capability_text(sensitivity)}
+                for sensitivity in self.capability
+            },
         }
 
     def text(self, details: bool = False) -> list[str]:
@@ -206,7 +212,7 @@ class Fitted:
             *(f"  {line}" for line in self.lines),
             *(f"  {line}" for line in self.details if details),
             *(f"  {line}" for line in self._agreement(details)),
-            *(f"  sees {capability_text(one)}" for one in self.capability),
+            *(f"  sees {capability_text(sensitivity)}" for sensitivity in self.capability),
             *self._false_alarms(),
         ]
 

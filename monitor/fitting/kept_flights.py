@@ -214,11 +214,11 @@ def _flight_file(batch: Batch) -> bytes:
     """Return a batch as an .npz file without pickles: numbers as arrays, all else as JSON."""
     arrays: dict[str, Any] = {}
     columns = []
-    for number, one in enumerate(batch.columns):
-        ids = {"source": one.source.name, "name": one.name, "system": one.system, "component": one.component}
-        columns.append({**ids, "fields": list(one.fields)})
-        arrays[f"{number}"] = np.stack([one.position, one.received_ns])
-        for place, values in enumerate(one.fields.values()):
+    for number, group in enumerate(batch.columns):
+        ids = {"source": group.source.name, "name": group.name, "system": group.system, "component": group.component}
+        columns.append({**ids, "fields": list(group.fields)})
+        arrays[f"{number}"] = np.stack([group.position, group.received_ns])
+        for place, values in enumerate(group.fields.values()):
             arrays[f"{number}.{place}"] = values
     others = [
         {
@@ -242,16 +242,23 @@ def _flight_file(batch: Batch) -> bytes:
 def _batch(arrays: Mapping[str, Any]) -> Batch:
     about = json.loads(arrays[_ABOUT].tobytes())
     columns = []
-    for number, one in enumerate(about["columns"]):
+    for number, entry in enumerate(about["columns"]):
         position, received_ns = arrays[f"{number}"]
-        fields = {name: arrays[f"{number}.{place}"] for place, name in enumerate(one["fields"])}
-        source = SOURCES[one["source"]]
-        columns.append(Columns(source, one["name"], one["system"], one["component"], position, received_ns, fields))
-    others = {
-        one["at"]: Message(
-            SOURCES[one["source"]], one["name"], one["received_ns"], one["fields"], one["system"], one["component"]
+        fields = {name: arrays[f"{number}.{place}"] for place, name in enumerate(entry["fields"])}
+        source = SOURCES[entry["source"]]
+        columns.append(
+            Columns(source, entry["name"], entry["system"], entry["component"], position, received_ns, fields)
         )
-        for one in about["others"]
+    others = {
+        entry["at"]: Message(
+            SOURCES[entry["source"]],
+            entry["name"],
+            entry["received_ns"],
+            entry["fields"],
+            entry["system"],
+            entry["component"],
+        )
+        for entry in about["others"]
     }
     return Batch(about["count"], tuple(columns), others)
 

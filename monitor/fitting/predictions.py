@@ -30,8 +30,8 @@ def horizon_samples(rate_hz: float) -> int:
 
 def explained_change(predictions: Sequence[Prediction]) -> NDArray[np.float64]:
     """Return the share of the outputs' changes over the predictions' horizon that these explain (p,)."""
-    missed = np.vstack([one.measured - one.predicted for one in predictions])
-    change = np.vstack([one.measured - one.before for one in predictions])
+    missed = np.vstack([prediction.measured - prediction.predicted for prediction in predictions])
+    change = np.vstack([prediction.measured - prediction.before for prediction in predictions])
     return np.asarray(1.0 - (missed**2).mean(axis=0) / np.maximum((change**2).mean(axis=0), 1e-300))
 
 
@@ -69,6 +69,6 @@ def compared(
         predicted=predicted[shown],
         residuals=residual[shown],
         explained={"one step ahead": explained_change(one_step), f"{horizon_s:g} s ahead": explained_change(ahead)},
-        statistics=residual_statistics(names, [one.measured - one.predicted for one in one_step]),
+        statistics=residual_statistics(names, [prediction.measured - prediction.predicted for prediction in one_step]),
         about=f"{what} predicted {horizon_s:g} s ahead, data kept back; residual one step ahead",
     )

@@ -134,7 +134,7 @@ class _Surveyor:
         vehicle_types = frozenset(map(vehicle_type, self._types)) - {""}
         # whether integers are sent byte by byte is known once the autopilot has said what it is
         px4 = self._autopilot == PX4
-        parameters = dict(filter(None, (parameter(one, px4=px4) for one in self._parameters.values())))
+        parameters = dict(filter(None, (parameter(values, px4=px4) for values in self._parameters.values())))
         return Survey(
             counts=dict(self._counts),
             rate_hz=rates,

@@ -170,15 +170,15 @@ def healthy_levels(
     per_path = alarms_per_hour / _PATHS
 
     def level(statistic: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> ReturnLevel:
-        series = [statistic(one) for one in evidence]
+        series = [statistic(flight) for flight in evidence]
         found = return_level(series, rate_hz, per_path)
-        largest = max((float(one.max(initial=0.0)) for one in series), default=0.0)
+        largest = max((float(stretch.max(initial=0.0)) for stretch in series), default=0.0)
         return found if math.isinf(most) else replace(found, level=min(found.level, most * largest))
 
     return Levels(
-        fast=level(lambda one: standing(np.abs(one), round(times.fast_s * rate_hz))),
-        plain=level(lambda one: standing(np.abs(one), round(times.raise_s * rate_hz))),
-        slow=level(lambda one: np.abs(weighted_mean(one, times.slow_s, rate_hz))),
+        fast=level(lambda evidence: standing(np.abs(evidence), round(times.fast_s * rate_hz))),
+        plain=level(lambda evidence: standing(np.abs(evidence), round(times.raise_s * rate_hz))),
+        slow=level(lambda evidence: np.abs(weighted_mean(evidence, times.slow_s, rate_hz))),
         usual=float(np.quantile(np.abs(np.concatenate([[0.0], *evidence])), _USUAL)),
     )
 

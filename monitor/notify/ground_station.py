@@ -68,7 +68,7 @@ class GroundSender:
     def send(self, notices: Sequence[Notice]) -> None:
         """Send notices as texts of their vehicles; of many, each vehicle's first ones and how many more there are."""
         vehicles: dict[str, list[Notice]] = {}
-        for notice in sorted(notices, key=lambda one: _severity(one) != CRITICAL):
+        for notice in sorted(notices, key=lambda notice: _severity(notice) != CRITICAL):
             vehicles.setdefault(notice.event.vehicle, []).append(notice)
         with self._lock:
             for name, own in vehicles.items():

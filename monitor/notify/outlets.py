@@ -81,7 +81,7 @@ class ExecOutlet:
 
     def send(self, notices: Sequence[Notice]) -> None:
         """Run the program once for all notices."""
-        lines = b"".join(to_json({"occasion": one.occasion, **one.event.to_json()}) + b"\n" for one in notices)
+        lines = b"".join(to_json({"occasion": notice.occasion, **notice.event.to_json()}) + b"\n" for notice in notices)
         # systemd would take what the program says of itself for the daemon's own
         environment = {key: value for key, value in os.environ.items() if key not in ("NOTIFY_SOCKET", "WATCHDOG_USEC")}
         try:

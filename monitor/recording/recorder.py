@@ -239,7 +239,9 @@ class Recorder:
             return False
         new = {number for number, _, _ in records} - self._channels.keys()
         schemas = [schema for number in new if (schema := self._topics[number].schema) is not None]
-        added = sum(len(data) + _RECORD_MARGIN for _, data, _ in records) + sum(2 * len(one.data) for one in schemas)
+        added = sum(len(data) + _RECORD_MARGIN for _, data, _ in records) + sum(
+            2 * len(schema.data) for schema in schemas
+        )
         return log.size + added <= series.file_bytes
 
     def _continue(self, first_ns: int) -> MessageLogWriter:

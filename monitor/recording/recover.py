@@ -107,12 +107,12 @@ def run_recover(args: argparse.Namespace) -> int:
         else:
             finished += [] if done is None else [done]
     if args.json:
-        rows = [asdict(one) | {"path": str(one.path)} for one in finished]
+        rows = [asdict(recording) | {"path": str(recording.path)} for recording in finished]
         sys.stdout.write(json.dumps({"finished": rows, "not_finished": mistakes}) + "\n")
     else:
-        for one in finished:
-            cut = f"; {one.cut_bytes} bytes of a record that was cut off removed" if one.cut_bytes else ""
-            sys.stdout.write(f"{one.path}: finished, {one.messages} messages{cut}\n")
+        for recording in finished:
+            cut = f"; {recording.cut_bytes} bytes of a record that was cut off removed" if recording.cut_bytes else ""
+            sys.stdout.write(f"{recording.path}: finished, {recording.messages} messages{cut}\n")
         if not finished and not mistakes:
             sys.stdout.write(f"{args.place}: nothing to finish\n")
     if mistakes and not args.json:

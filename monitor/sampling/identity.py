@@ -63,7 +63,7 @@ class Identity:
 
     def difference(self, other: Identity) -> tuple[str, str] | None:
         """Return in words what each is, where something known of both differs; None where nothing does."""
-        names = [one.name for one in fields(self)]
+        names = [field.name for field in fields(self)]
         unlike = [name for name in names if len({getattr(self, name), getattr(other, name)} - {"", 0}) > 1]
         return (self._words(unlike), other._words(unlike)) if unlike else None
 
@@ -82,13 +82,15 @@ class Identity:
 
     def table(self) -> dict[str, str | int]:
         """Return what is known, by name."""
-        return {one.name: value for one in fields(self) if (value := getattr(self, one.name))}
+        return {field.name: value for field in fields(self) if (value := getattr(self, field.name))}
 
 
 def common_identity(identities: Iterable[Identity]) -> Identity:
     """Return what is known of any and contradicts none of the others."""
     given = list(identities)
-    known = {name.name: {value for one in given if (value := getattr(one, name.name))} for name in fields(Identity)}
+    known = {
+        name.name: {value for identity in given if (value := getattr(identity, name.name))} for name in fields(Identity)
+    }
     return Identity(**{name: values.pop() for name, values in known.items() if len(values) == 1})
 
 

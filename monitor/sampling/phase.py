@@ -193,7 +193,7 @@ class FlightPhase:
         elif is_heartbeat and isinstance(mode, int):
             self._armed = armed
             if self._beats.contested:
-                self._armed = any(isinstance(one, tuple) and one[0] for one in self._beats.recent())
+                self._armed = any(isinstance(beat, tuple) and beat[0] for beat in self._beats.recent())
         self._has_been = self._has_been[0] or bool(self._armed), self._has_been[1] or self._landed == "air"
         contests = {"HEARTBEAT": self._beats, "EXTENDED_SYS_STATE": self._landings}
         self.contested = tuple(name for name, said in contests.items() if said.contested)

@@ -180,7 +180,7 @@ class Election:
             peer = self._peers.get(name)
             if peer is None:
                 if len(self._peers) >= _MOST_PEERS:
-                    del self._peers[min(self._peers, key=lambda one: self._peers[one].heard_s)]
+                    del self._peers[min(self._peers, key=lambda name: self._peers[name].heard_s)]
                 peer = self._peers[name] = _Peer()
                 # it waits for an answer
                 self._due_s = 0.0

@@ -138,11 +138,11 @@ class Fleet:
             free.pipeline.watch(system)
             self._by_system[system] = free
             return [(free, self._taken(system))]
-        ready = {one: seen.slots for one, seen in self._strangers.items() if seen.is_vehicle}
+        ready = {system: seen.slots for system, seen in self._strangers.items() if seen.is_vehicle}
         if not ready or 0 <= stranger.newest_ns - self._made_ns < _LEAST_APART_NS:
             return []
         self._made_ns = stranger.newest_ns
-        first = max(ready, key=lambda one: ready[one])
+        first = max(ready, key=lambda system: ready[system])
         made = None if self._new_vehicle is None else self._new_vehicle(first)
         kept = self._taken(first)
         if made is None:

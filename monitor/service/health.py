@@ -179,7 +179,8 @@ def health_json(health: Health) -> dict[str, Any]:
                 "state": vehicle.state,
                 "active_alarms": sum(vehicle.active.values()),
                 "watching": {
-                    one.name: {"share": one.share, "evidence_age_s": one.evidence_age_s} for one in vehicle.observers
+                    observer.name: {"share": observer.share, "evidence_age_s": observer.evidence_age_s}
+                    for observer in vehicle.observers
                 },
             }
             for vehicle in health.vehicles

@@ -99,7 +99,9 @@ class _Parts(NamedTuple):
         def values(health: Health) -> Iterator[tuple[tuple[str, ...], float]]:
             for own, part in self.of(health):
                 value = get(part)
-                yield from [(own, value)] if label is None else (((*own, key), one) for key, one in value.items())
+                yield from (
+                    [(own, value)] if label is None else (((*own, key), element) for key, element in value.items())
+                )
 
         return MetricRow(name, self.labels if label is None else (*self.labels, label), about, values)
 
@@ -131,20 +133,25 @@ _LINK = _Parts(("link",), lambda health: [((link.name,), link) for link in healt
 _OUTLET = _Parts(("outlet",), lambda health: [((outlet.name,), outlet) for outlet in health.outlets])
 _VEHICLE = _Parts(("vehicle",), lambda health: [((vehicle.name,), vehicle) for vehicle in health.vehicles])
 _RECORDER = _Parts(
-    ("vehicle",), lambda health: [((one.name,), one.recorder) for one in health.vehicles if one.recorder is not None]
+    ("vehicle",),
+    lambda health: [((vehicle.name,), vehicle.recorder) for vehicle in health.vehicles if vehicle.recorder is not None],
 )
 _OBSERVER = _Parts(
     ("vehicle", "observer"),
-    lambda health: [((one.name, observer.name), observer) for one in health.vehicles for observer in one.observers],
+    lambda health: [
+        ((vehicle.name, observer.name), observer) for vehicle in health.vehicles for observer in vehicle.observers
+    ],
 )
 _EVIDENCE = _Parts(
     _OBSERVER.labels,
-    lambda health: [(own, one) for own, one in _OBSERVER.of(health) if one.evidence_age_s is not None],
+    lambda health: [(own, observer) for own, observer in _OBSERVER.of(health) if observer.evidence_age_s is not None],
 )
 
 _CHANNEL = _Parts(
     ("vehicle", "observer", "channel"),
-    lambda health: [((one.name, part.observer, part.name), part) for one in health.vehicles for part in one.channels],
+    lambda health: [
+        ((vehicle.name, part.observer, part.name), part) for vehicle in health.vehicles for part in vehicle.channels
+    ],
 )
 
 

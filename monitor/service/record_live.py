@@ -95,10 +95,10 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
         recorder = stack.enter_context(Recorder(path, encoder.topics, about, {}, strict=True))
         inbox = Inbox(config.inbox)
         stack.callback(inbox.close)
-        for one in links:
-            inbox.listen(one.name, one.link)
-        log.say("recording", file=str(path), telemetry=", ".join(one.name for one in links))
-        first_look = FirstLook({one.name: one.link for one in links}, log)
+        for link in links:
+            inbox.listen(link.name, link.link)
+        log.say("recording", file=str(path), telemetry=", ".join(link.name for link in links))
+        first_look = FirstLook({link.name: link.link for link in links}, log)
 
         def record(timeout_s: float) -> None:
             for arrival in inbox.take(timeout_s):
@@ -132,7 +132,7 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
             dropped=inbox.statistics().dropped,
             unrecordable=encoder.unrecordable + counts.unrecordable,
             interrupted=signal.SIGINT in received,
-            links=", ".join(one.name for one in links),
+            links=", ".join(link.name for link in links),
         )
 
 

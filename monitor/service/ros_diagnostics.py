@@ -50,7 +50,7 @@ class RosDiagnostics:
         # node and publisher, their qualities of service left at the defaults of ROS, the last 7 messages kept
         root = f"@ros2_lv/{domain}/{session.zid()}/0"
         publisher = f"{root}/1/MP/%/%/{_NODE}/%diagnostics/{TYPE}/{TYPE_HASH}/::,7:,:,:,,"
-        self._tokens = [session.liveliness().declare_token(one) for one in (f"{root}/0/NN/%/%/{_NODE}", publisher)]
+        self._tokens = [session.liveliness().declare_token(key) for key in (f"{root}/0/NN/%/%/{_NODE}", publisher)]
 
     def publish(self, health: Health, now_ns: int) -> None:
         """Publish a snapshot at a Unix time; never waits."""
@@ -64,8 +64,8 @@ class RosDiagnostics:
     def close(self) -> None:
         """Withdraw everything declared."""
         declared: list[Any] = [*self._tokens, self._publisher]
-        for one in declared:
-            one.undeclare()
+        for declaration in declared:
+            declaration.undeclare()
 
 
 def diagnostics(health: Health) -> Iterator[Diagnostic]:
@@ -82,16 +82,19 @@ def diagnostics(health: Health) -> Iterator[Diagnostic]:
 def _of_vehicle(vehicle: VehicleHealth) -> Diagnostic:
     level = max(_LEVELS[vehicle.state], ERROR if vehicle.impostor else OK)
     why = vehicle.blind or vehicle.impostor
-    evidence = [(one.name, f"evidence in {100 * one.share:.0f} % of the last minute") for one in vehicle.observers]
+    evidence = [
+        (observer.name, f"evidence in {100 * observer.share:.0f} % of the last minute")
+        for observer in vehicle.observers
+    ]
     message = f"{vehicle.state}: {why}" if why else vehicle.state
     return Diagnostic(level, f"fauio: {vehicle.name}", message, vehicle.name, evidence)
 
 
 def _of_observer(vehicle: str, observer: str, channels: Sequence[ChannelHealth]) -> Diagnostic:
     raised = [channel for channel in channels if channel.severity is not None]
-    level = max((ERROR if one.severity == "critical" else WARN for one in raised), default=OK)
-    said = ", ".join(f"{one.name} {_size(one)}".rstrip() for one in raised)
-    sizes = [(one.name, size) for one in channels if (size := _size(one))]
+    level = max((ERROR if alarm.severity == "critical" else WARN for alarm in raised), default=OK)
+    said = ", ".join(f"{alarm.name} {_size(alarm)}".rstrip() for alarm in raised)
+    sizes = [(channel.name, size) for channel in channels if (size := _size(channel))]
     return Diagnostic(level, f"fauio: {vehicle} {observer}", said or "no alarm", vehicle, sizes)
 
 

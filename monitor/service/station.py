@@ -365,7 +365,7 @@ class Station:
     def _dropped_lately(self) -> tuple[int, dict[str, int]]:
         """Return the messages that the inbox, and each link or its kernel, dropped in the last minute."""
         counts = {name: link.statistics() for name, link in self._links.items()}
-        unread = {name: getattr(one, "overruns", 0) + getattr(one, "dropped", 0) for name, one in counts.items()}
+        unread = {name: getattr(count, "overruns", 0) + getattr(count, "dropped", 0) for name, count in counts.items()}
         self._minute.append((self._inbox.statistics().dropped, unread))
         dropped_before, unread_before = self._minute[0]
         before = dict.fromkeys(unread, 0) | unread_before

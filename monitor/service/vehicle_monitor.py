@@ -305,7 +305,7 @@ class VehicleMonitor:
             "channels": self._channels(),
             "facts": {
                 **self._facts.status(),
-                "conditions": [one.to_json() for one in latest_conditions(self.pipeline.conditions)],
+                "conditions": [condition.to_json() for condition in latest_conditions(self.pipeline.conditions)],
             },
             "profile": self.pipeline.profile.digest,
             "versions": {"fauio": _VERSION},

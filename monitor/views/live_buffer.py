@@ -129,12 +129,12 @@ class VehicleView:
         with self._lock:
             estimates = {name: list(buffer) for name, buffer in self._estimates.items()}
             events = tuple(self._events)
-            raw = {name: (one.paths, list(one.rows)) for name, one in self._raw.items()}
+            raw = {name: (kept.paths, list(kept.rows)) for name, kept in self._raw.items()}
             self._events.clear()
             for buffer in self._estimates.values():
                 buffer.clear()
-            for one in self._raw.values():
-                one.rows.clear()
+            for kept in self._raw.values():
+                kept.rows.clear()
         return Shown(
             traces=tuple(
                 _trace(layout, estimates[layout.observer]) for layout in self.layouts if estimates[layout.observer]
@@ -156,7 +156,7 @@ class VehicleView:
         """Return how many rows and events wait."""
         with self._lock:
             waiting = sum(len(buffer) for buffer in self._estimates.values()) + len(self._events)
-            return waiting + sum(len(one.rows) for one in self._raw.values())
+            return waiting + sum(len(kept.rows) for kept in self._raw.values())
 
     def _keep(self, buffer: deque[_T], item: _T) -> None:
         self.dropped += len(buffer) == buffer.maxlen

@@ -68,7 +68,7 @@ def way_of(batches: Iterable[Batch]) -> Way | None:
             if columns.name == "ATTITUDE" and columns.fields.keys() >= set(_TURNS):
                 turns.setdefault(sender, []).append(np.column_stack([columns.fields[name] for name in _TURNS]))
                 times.setdefault(sender, []).append(columns.received_ns)
-    most = max(fixes, key=lambda one: len(fixes[one]), default=None)
+    most = max(fixes, key=lambda source: len(fixes[source]), default=None)
     if most is None or not fixes[most]:
         return None
     found = sorted(fixes[most])

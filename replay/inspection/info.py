@@ -56,8 +56,12 @@ def profile_info(folder: Path) -> dict[str, Any]:
             "require_airborne": profile.gate.require_airborne,
             "settle_s": profile.gate.settle_s,
         },
-        "messages": sorted(interests(profile) & {name for one in profile.observers for name in _messages(one)}),
-        "observers": {one.name: _observer(one, said[one.name]["alarms"]) for one in profile.observers},
+        "messages": sorted(
+            interests(profile) & {name for observer in profile.observers for name in _messages(observer)}
+        ),
+        "observers": {
+            observer.name: _observer(observer, said[observer.name]["alarms"]) for observer in profile.observers
+        },
         "digest": profile.digest,
     }
 
@@ -95,16 +99,18 @@ def _observer(observer: ObserverProfile, said: Mapping[str, Mapping[str, Any]]) 
 
 def _bounds(gains: Sequence[Gains]) -> dict[str, Any]:
     """Return the worst certified bound, the worst norm, and whether every certificate holds."""
-    certificates = [one.report.get("certificate") for one in gains]
+    certificates = [gain.report.get("certificate") for gain in gains]
     return {
         "sqrt_mu": _worst(gains, "sqrt_mu"),
         "norm": _worst(gains, "norm"),
-        "certified": all(isinstance(one, Mapping) and one.get("holds") is True for one in certificates),
+        "certified": all(
+            isinstance(certificate, Mapping) and certificate.get("holds") is True for certificate in certificates
+        ),
     }
 
 
 def _worst(gains: Sequence[Gains], key: str) -> float | None:
-    bounds = [one.report.get(key) for one in gains]
+    bounds = [gain.report.get(key) for gain in gains]
     known = [value for value in bounds if isinstance(value, int | float)]
     return max(known) if len(known) == len(bounds) else None
 
@@ -153,7 +159,7 @@ def model_info(path: Path) -> dict[str, Any]:
         "faults": [{"name": fault.name, "kind": fault.kind, "unit": fault.unit} for fault in plant.faults],
         "disturbances": [signal.name for signal in plant.disturbances],
         "noises": [signal.name for signal in plant.noises],
-        "nonlinearities": [one.expression for one in plant.nonlinearities],
+        "nonlinearities": [nonlinearity.expression for nonlinearity in plant.nonlinearities],
         "parameters": None if free is None else [parameter.name for parameter in free.parameters],
         "estimable": estimable,
         "check": verdict,

@@ -96,16 +96,16 @@ def _messages(content: Mapping[str, Any]) -> Iterator[str]:
         return
     width = max(len("message"), *map(len, messages))
     yield f"  {'message':<{width}}  {'count':>9}  {'per second':>10}"
-    for name, one in messages.items():
-        rate = "-" if one["rate_hz"] is None else f"{one['rate_hz']:.1f}"
-        yield f"  {name:<{width}}  {one['count']:>9}  {rate:>10}"
+    for name, entry in messages.items():
+        rate = "-" if entry["rate_hz"] is None else f"{entry['rate_hz']:.1f}"
+        yield f"  {name:<{width}}  {entry['count']:>9}  {rate:>10}"
 
 
 def _vehicle(vehicle: Mapping[str, Any]) -> Iterator[str]:
     whose = "these topics" if vehicle["system"] is None else f"system {vehicle['system']}"
-    for name, one in vehicle["inputs"].items():
-        place = "" if one["from"] is None else f", from {one['from']}"
-        yield f"  {one['holds']}: {name} at {one['rate_hz']:.3g} Hz{place}"
+    for name, entry in vehicle["inputs"].items():
+        place = "" if entry["from"] is None else f", from {entry['from']}"
+        yield f"  {entry['holds']}: {name} at {entry['rate_hz']:.3g} Hz{place}"
     if vehicle["never_armed"]:
         yield "  nothing to fit: the vehicle is never armed; record a flight. Of a flight with these messages:"
     yield f"  what fauio fit could make of {whose}:"
@@ -138,12 +138,12 @@ def _profile(content: Mapping[str, Any]) -> Iterator[str]:
     when = " and ".join(phase) or "always"
     yield f"{content['file']}: profile of '{content['name']}' ({content['vehicle']}), watches while {when}"
     yield from _listed("  reads ", content["messages"])
-    for name, one in content["observers"].items():
-        bank = f", bank of {one['hypotheses']}" if one["hypotheses"] > 1 else ""
-        size = f"{len(one['states'])} states, {len(one['inputs'])} inputs, {len(one['outputs'])} outputs"
-        yield f"  {name}: {one['rate_hz']:g} Hz, {size}{bank}, {_bound(one)}"
-        width = max((len(channel) for channel in one["alarms"]), default=0)
-        for channel, rule in one["alarms"].items():
+    for name, entry in content["observers"].items():
+        bank = f", bank of {entry['hypotheses']}" if entry["hypotheses"] > 1 else ""
+        size = f"{len(entry['states'])} states, {len(entry['inputs'])} inputs, {len(entry['outputs'])} outputs"
+        yield f"  {name}: {entry['rate_hz']:g} Hz, {size}{bank}, {_bound(entry)}"
+        width = max((len(channel) for channel in entry["alarms"]), default=0)
+        for channel, rule in entry["alarms"].items():
             sees = f"; sees {rule['sees']}" if rule["sees"] else ""
             words = rule["unit"], rule["usual_command"]
             threshold, critical = (size_text(rule[key], *words) for key in ("threshold", "critical"))

@@ -89,7 +89,9 @@ def effects(profile: Profile) -> dict[tuple[str, str], EffectivenessRule]:
 
 def findings(profile: Profile, events: Iterable[AlarmEvent], traces: Sequence[Trace]) -> list[Finding]:
     """Return each alarm of a run, in the order of their beginnings."""
-    thresholds = {(rule.observer, rule.channel): rule.threshold for one in profile.observers for rule in one.alarms}
+    thresholds = {
+        (rule.observer, rule.channel): rule.threshold for observer in profile.observers for rule in observer.alarms
+    }
     by_effect, by_name = effects(profile), {trace.layout.observer: trace for trace in traces}
     return [
         _finding(span, by_name.get(span.observer), thresholds, by_effect.get((span.observer, span.channel)))
@@ -112,12 +114,14 @@ def watched_channels(
             calibration=_calibration(rests_on.get((rule.observer, rule.channel)), rule.threshold),
             watched_s=watched_s.get(rule.observer, 0.0),
             peak=_peak(by_name.get(rule.observer), rule.channel),
-            alarms=sum((one.alarm.observer, one.alarm.channel) == (rule.observer, rule.channel) for one in results),
+            alarms=sum(
+                (result.alarm.observer, result.alarm.channel) == (rule.observer, rule.channel) for result in results
+            ),
             effect=by_effect.get((rule.observer, rule.channel)),
             usual_command=commands.get(rule.channel),
         )
         for observer in profile.observers
-        for commands in (dict(zip((one.name for one in observer.faults), observer.usual_commands, strict=True)),)
+        for commands in (dict(zip((fault.name for fault in observer.faults), observer.usual_commands, strict=True)),)
         for rule in observer.alarms
     ]
 

@@ -32,11 +32,11 @@ def flight_parts(facts: LogFacts, alarms: Sequence[AlarmSpan], charts: Charts, z
     """
     spans = [
         (
-            (one.start_ns - facts.start_ns) / 1e9,
-            facts.duration_s if one.end_ns is None else (one.end_ns - facts.start_ns) / 1e9,
-            one.severity,
+            (alarm.start_ns - facts.start_ns) / 1e9,
+            facts.duration_s if alarm.end_ns is None else (alarm.end_ns - facts.start_ns) / 1e9,
+            alarm.severity,
         )
-        for one in alarms
+        for alarm in alarms
     ]
     way = facts.signals.get("position")
     if way is not None and len(way.time_s) > 1:
@@ -44,10 +44,11 @@ def flight_parts(facts: LogFacts, alarms: Sequence[AlarmSpan], charts: Charts, z
     height = facts.signals.get("height_estimate") or facts.signals.get("height")
     if height is not None and len(height.time_s) > 1:
         yield charts.add(_height_chart(height, facts, spans, zero_s))
-    said = [one for one in facts.statements if one.kind in ("mode", "text", "failsafe", "arming")]
+    said = [statement for statement in facts.statements if statement.kind in ("mode", "text", "failsafe", "arming")]
     if said:
         rows = [
-            (utc(facts.start_ns + round(1e9 * one.time_s))[11:23], one.kind, one.text) for one in said[:_MOST_LINES]
+            (utc(facts.start_ns + round(1e9 * statement.time_s))[11:23], statement.kind, statement.text)
+            for statement in said[:_MOST_LINES]
         ]
         more = len(said) - len(rows)
         words = f"What the log says, {len(said)} lines" + (f", the first {len(rows)}" if more else "")
@@ -62,8 +63,8 @@ def _height_chart(
         {"from": round(start - zero_s, 2), "to": round(end - zero_s, 2), "severity": severity}
         for start, end, severity in spans
     ]
-    modes = [one for one in facts.statements if one.kind == "mode"]
-    chart.content["marks"] = [[round(one.time_s - zero_s, 2), one.text] for one in modes[:_MOST_LINES]]
+    modes = [statement for statement in facts.statements if statement.kind == "mode"]
+    chart.content["marks"] = [[round(mode.time_s - zero_s, 2), mode.text] for mode in modes[:_MOST_LINES]]
     return chart
 
 

@@ -222,8 +222,8 @@ def _draw_legend(
     marks: list[Any] = [Line2D([], [], color=theme.estimate, label="fault estimate")]
     if any(
         (trace.layout.observer, trace.layout.faults[place]) not in look.run.without_sd
-        for trace, one in zip(traces, chosen, strict=True)
-        for place in one.alone
+        for trace, rows in zip(traces, chosen, strict=True)
+        for place in rows.alone
     ):
         marks.append(area(theme.estimate, DOUBT_ALPHA, f"±{DOUBT_DEVIATIONS:g} std. dev."))
     if look.run.truth:

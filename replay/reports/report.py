@@ -80,7 +80,7 @@ def recording_report(run: Run) -> str:
 
 
 def _header(run: Run, results: Sequence[Finding]) -> Html:
-    worst = {one.alarm.severity for one in results}
+    worst = {result.alarm.severity for result in results}
     mark = next((severity for severity in ("critical", "warning") if severity in worst), "")
     if not mark and _blind(run.replay):
         mark = "unknown"
@@ -98,15 +98,15 @@ def _found(run: Run, results: Sequence[Finding], watched: Sequence[WatchedChanne
     if not results:
         yield element("p", _nothing_found(run, watched))
     traces = {trace.layout.observer: trace for trace in run.replay.traces if len(trace.vehicle_ns)}
-    for one in results:
-        trace = traces.get(one.alarm.observer)
-        shown = trace is not None and one.alarm.channel in trace.layout.faults
+    for result in results:
+        trace = traces.get(result.alarm.observer)
+        shown = trace is not None and result.alarm.channel in trace.layout.faults
         yield element(
             "article",
-            element("h3", f"{one.alarm.observer} / {one.alarm.channel}: {one.message}"),
-            facts(_of_finding(run, one)),
-            charts.add_fault(one.alarm.observer, one.alarm.channel) if shown else "",
-            class_=one.alarm.severity,
+            element("h3", f"{result.alarm.observer} / {result.alarm.channel}: {result.message}"),
+            facts(_of_finding(run, result)),
+            charts.add_fault(result.alarm.observer, result.alarm.channel) if shown else "",
+            class_=result.alarm.severity,
         )
 
 
@@ -115,18 +115,18 @@ def _nothing_found(run: Run, watched: Sequence[WatchedChannel]) -> str:
         return "Nothing: no observer watched for a single sample. This says nothing about the vehicle."
     blind = "".join(f" {name} watched nothing at all." for name in _blind(run.replay))
     least: dict[str, WatchedChannel] = {}
-    for one in watched:
-        known = least.get(one.rule.channel, one).rule
+    for alarm in watched:
+        known = least.get(alarm.rule.channel, alarm).rule
         if (
-            one.watched_s
-            and one.effect is None
-            and "times" not in one.rule.unit
-            and one.rule.threshold <= known.threshold
+            alarm.watched_s
+            and alarm.effect is None
+            and "times" not in alarm.rule.unit
+            and alarm.rule.threshold <= known.threshold
         ):
-            least[one.rule.channel] = one
+            least[alarm.rule.channel] = alarm
     from_size: dict[str, list[str]] = {}
-    for channel, one in least.items():
-        from_size.setdefault(one.size_text(one.rule.threshold), []).append(channel)
+    for channel, alarm in least.items():
+        from_size.setdefault(alarm.size_text(alarm.rule.threshold), []).append(channel)
     seen = "; ".join(f"{', '.join(channels)} from {size}" for size, channels in from_size.items())
     return (
         f"No alarm was raised.{blind} That covers the channels below, from their thresholds on, while watched."
@@ -139,36 +139,36 @@ def _blind(replay: Replay) -> list[str]:
     return [name for name, watch in replay.watches.items() if not watch.evidence]
 
 
-def _of_finding(run: Run, one: Finding) -> Iterator[tuple[str, object]]:
-    alarm = one.alarm
+def _of_finding(run: Run, finding: Finding) -> Iterator[tuple[str, object]]:
+    alarm = finding.alarm
     yield "when", _moment(run, alarm.start_ns, alarm.start_vehicle_ns)
     if alarm.end_ns is None or alarm.end_vehicle_ns is None:
         yield "how long", "until the end of the recording"
     else:
         lasted_s = (alarm.end_vehicle_ns - alarm.start_vehicle_ns) / 1e9
         yield "how long", f"{span_text(lasted_s)}, cleared {_moment(run, alarm.end_ns, alarm.end_vehicle_ns)}"
-    if (size := _size_of(one)) is not None:
+    if (size := _size_of(finding)) is not None:
         yield "how large", size
     yield "severity", alarm.severity
-    if one.effect is not None:
-        yield "how sure", f"said only where it is {_certain(one.effect)}"
-    if one.rival is not None and one.rival[1] >= 1.0:
-        yield "not told apart from", f"{one.rival[0]}, whose estimate passed its own threshold meanwhile"
+    if finding.effect is not None:
+        yield "how sure", f"said only where it is {_certain(finding.effect)}"
+    if finding.rival is not None and finding.rival[1] >= 1.0:
+        yield "not told apart from", f"{finding.rival[0]}, whose estimate passed its own threshold meanwhile"
     if advice := what_to_check(alarm.channel):
         yield "what to check", advice
-    if run.facts is not None and (said := said_about(one, run.facts)):
+    if run.facts is not None and (said := said_about(finding, run.facts)):
         yield "the autopilot said", "; ".join(dict.fromkeys(text.text for text in said[:_MOST_SAID]))
 
 
-def _size_of(one: Finding) -> str | None:
+def _size_of(finding: Finding) -> str | None:
     """Return the size that an alarm is given everywhere on the page, with its uncertainty where that is known."""
-    if one.size is None:
-        return one.largest.display or None
-    said = fault_text(one.alarm.channel, one.size, one.relative, one.largest.unit)
-    if one.deviation and one.size:
-        share = None if one.relative is None else one.relative / one.size
-        said += f" ± {doubt_text(2.0 * one.deviation, one.largest.unit, share)} (two standard deviations)"
-    return f"{said}{', at the end of its growth' if one.grew else ''}"
+    if finding.size is None:
+        return finding.largest.display or None
+    said = fault_text(finding.alarm.channel, finding.size, finding.relative, finding.largest.unit)
+    if finding.deviation and finding.size:
+        share = None if finding.relative is None else finding.relative / finding.size
+        said += f" ± {doubt_text(2.0 * finding.deviation, finding.largest.unit, share)} (two standard deviations)"
+    return f"{said}{', at the end of its growth' if finding.grew else ''}"
 
 
 def _flight(run: Run, results: Sequence[Finding], charts: Charts) -> Iterator[Html]:
@@ -177,11 +177,11 @@ def _flight(run: Run, results: Sequence[Finding], charts: Charts) -> Iterator[Ht
         return
     first = min(
         (trace for trace in run.replay.traces if len(trace.unix_ns)),
-        key=lambda one: int(one.vehicle_ns[0]),
+        key=lambda trace: int(trace.vehicle_ns[0]),
         default=None,
     )
     zero_s = 0.0 if first is None else (int(first.unix_ns[0]) - run.facts.start_ns) / 1e9
-    parts = [*flight_parts(run.facts, [one.alarm for one in results], charts, zero_s)]
+    parts = [*flight_parts(run.facts, [result.alarm for result in results], charts, zero_s)]
     if parts:
         yield section("The flight", *parts)
 
@@ -201,35 +201,37 @@ def _watched(run: Run, results: Sequence[Finding], watched: Sequence[WatchedChan
         "The largest estimate while alarms could be raised, and the size that raises one. Thresholds were set on "
         f"healthy flights for {FALSE_ALARMS_PER_HOUR:g} false alarms per hour and observer, shared by its channels.",
     )
-    for observer in dict.fromkeys(one.rule.observer for one in watched):
-        own = [one for one in watched if one.rule.observer == observer]
+    for observer in dict.fromkeys(alarm.rule.observer for alarm in watched):
+        own = [alarm for alarm in watched if alarm.rule.observer == observer]
         watched_s = own[0].watched_s
         yield element("h3", f"{observer}, " + (f"watched for {span_text(watched_s)}" if watched_s else "never watched"))
         yield table(_WATCHED_HEADS, map(_of_channel, own), numbers=range(1, 4))
-    others = sorted({one.alarm.observer for one in results} - {observer.name for observer in run.profile.observers})
+    others = sorted(
+        {result.alarm.observer for result in results} - {observer.name for observer in run.profile.observers}
+    )
     if others:
         yield element("p", f"Alarms of {', '.join(others)} come from fixed rules, not from calibration.", class_="note")
 
 
-def _of_channel(one: WatchedChannel) -> tuple[object, ...]:
+def _of_channel(watched: WatchedChannel) -> tuple[object, ...]:
     return (
-        one.rule.channel,
-        "" if one.peak is None else one.size_text(one.peak),
-        one.size_text(one.rule.threshold) if one.effect is None else "",
-        one.alarms or "",
-        one.rule.sees or ("" if one.effect is None else _certain(one.effect)),
-        _rests_on(one),
+        watched.rule.channel,
+        "" if watched.peak is None else watched.size_text(watched.peak),
+        watched.size_text(watched.rule.threshold) if watched.effect is None else "",
+        watched.alarms or "",
+        watched.rule.sees or ("" if watched.effect is None else _certain(watched.effect)),
+        _rests_on(watched),
     )
 
 
-def _rests_on(one: WatchedChannel) -> str:
-    known = one.calibration
+def _rests_on(watched: WatchedChannel) -> str:
+    known = watched.calibration
     if known is None:
-        return "" if one.effect is not None else "not calibrated, or edited since"
+        return "" if watched.effect is not None else "not calibrated, or edited since"
     if known.hours is None:
         return ""
     text = f"{60 * known.hours:.0f} min of healthy flight"
-    if known.high is not None and known.high > one.rule.threshold:
+    if known.high is not None and known.high > watched.rule.threshold:
         return f"{text}: too little to promise that rate"
     return text
 
@@ -244,7 +246,7 @@ def _certain(effect: EffectivenessRule) -> str:
 
 def _conditions(run: Run) -> Iterator[Html]:
     if run.replay.conditions:
-        rows = [(utc(one.since_ns)[11:19], one.text) for one in run.replay.conditions]
+        rows = [(utc(condition.since_ns)[11:19], condition.text) for condition in run.replay.conditions]
         yield section("What is no fault", table(("from", "what"), rows))
 
 

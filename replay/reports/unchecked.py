@@ -37,13 +37,13 @@ def unchecked(
         *([Unchecked("everything that was found or not found", replay.mismatch)] if replay.mismatch else []),
         *(Unchecked(f"{seconds:.0f} s in flight", why) for why, seconds in replay.unwatched(facts.last_ns or 0)),
         *(Unchecked(f"{name}: {seconds:.0f} s", far) for name, (seconds, far) in replay.outside.items()),
-        *(Unchecked(f"what is missing of {one.file}", "; ".join(one.found)) for one in damage),
-        *(one for observer in profile.observers for one in _observer(profile, observer, replay)),
-        *(one for observer in profile.observers for one in _bridged(observer, replay.watches[observer.name])),
-        *(one for observer in profile.observers for one in _interpolated(observer, facts)),
+        *(Unchecked(f"what is missing of {part.file}", "; ".join(part.found)) for part in damage),
+        *(gap for observer in profile.observers for gap in _observer(profile, observer, replay)),
+        *(gap for observer in profile.observers for gap in _bridged(observer, replay.watches[observer.name])),
+        *(gap for observer in profile.observers for gap in _interpolated(observer, facts)),
         *_gaps(facts),
-        *(one for observer in profile.observers for one in _without_alarm(observer)),
-        *(one for observer in profile.observers for one in _together(observer)),
+        *(gap for observer in profile.observers for gap in _without_alarm(observer)),
+        *(gap for observer in profile.observers for gap in _together(observer)),
         *_excused(profile, found),
         *_foreign(replay),
         Unchecked(
@@ -166,7 +166,7 @@ def _exclusive(names: Sequence[str], hypotheses: Sequence[set[str]]) -> list[lis
 
 def _excused(profile: Profile, found: Sequence[Finding]) -> Iterator[Unchecked]:
     """Say which channels were not believed while another alarm explained them."""
-    raised = {one.alarm.channel for one in found}
+    raised = {finding.alarm.channel for finding in found}
     for rule in profile.excuses:
         causes = [name for name in rule.by if name in raised]
         if causes:

@@ -33,50 +33,52 @@ def run_sentence(results: Sequence[Finding], facts: LogFacts | None) -> str:
 
     ``facts`` are what the log states, None where it is no log of an autopilot.
     """
-    worst = "critical" if any(one.alarm.severity == "critical" for one in results) else "warning"
-    main = next(one for one in results if one.alarm.severity == worst)
+    worst = "critical" if any(result.alarm.severity == "critical" for result in results) else "warning"
+    main = next(result for result in results if result.alarm.severity == worst)
     others = len(results) - 1
     more = f"; {others} other alarm{'s' if others > 1 else ''}" if others else ""
     return f"{main.message} {_when(main)}{_autopilot(main, facts)}{more}"
 
 
-def alarm_summary(one: Finding) -> str:
+def alarm_summary(finding: Finding) -> str:
     """Return a line about one alarm: from when to when, where, how grave, what, the size's doubt and its peak."""
-    alarm, event = one.alarm, one.largest
+    alarm, event = finding.alarm, finding.largest
     end = "to the end" if alarm.end_ns is None else f"to {utc(alarm.end_ns)[11:19]}"
-    share = one.relative / one.size if one.relative is not None and one.size else None
+    share = finding.relative / finding.size if finding.relative is not None and finding.size else None
     peak = max((event.peak for event in alarm.history if event.peak is not None), key=abs, default=None)
     doubt = []
-    if one.size is not None and one.deviation is not None:
-        doubt.append(f"± {doubt_text(one.deviation, event.unit, share)}")
+    if finding.size is not None and finding.deviation is not None:
+        doubt.append(f"± {doubt_text(finding.deviation, event.unit, share)}")
     if peak is not None:
         doubt.append(f"peak {fault_text(alarm.channel, peak, None if share is None else peak * share, event.unit)}")
     channel = f"{alarm.observer}/{alarm.channel}"
-    parts = (f"{utc(alarm.start_ns)[:19]}Z {end}", event.vehicle, channel, alarm.severity, one.message)
+    parts = (f"{utc(alarm.start_ns)[:19]}Z {end}", event.vehicle, channel, alarm.severity, finding.message)
     return "  ".join(parts) + (f" ({', '.join(doubt)})" if doubt else "")
 
 
-def _when(one: Finding) -> str:
-    clock = utc(one.alarm.start_ns)[11:19]
-    if one.alarm.end_vehicle_ns is None:
+def _when(finding: Finding) -> str:
+    clock = utc(finding.alarm.start_ns)[11:19]
+    if finding.alarm.end_vehicle_ns is None:
         return f"from {clock} to the end"
-    return f"from {clock} on for {span_text((one.alarm.end_vehicle_ns - one.alarm.start_vehicle_ns) / 1e9)}"
+    return f"from {clock} on for {span_text((finding.alarm.end_vehicle_ns - finding.alarm.start_vehicle_ns) / 1e9)}"
 
 
-def _autopilot(one: Finding, facts: LogFacts | None) -> str:
+def _autopilot(finding: Finding, facts: LogFacts | None) -> str:
     if facts is None:
         return ""
-    if said := said_about(one, facts):
+    if said := said_about(finding, facts):
         return f"; the autopilot said “{said[0].text}”"
     # silence is told only of a log that says how severe its texts are
     severe = any(text.kind == "text" and text.level < UNKNOWN_LEVEL for text in facts.statements)
     return "; the autopilot said nothing" if severe else ""
 
 
-def said_about(one: Finding, facts: LogFacts) -> list[Statement]:
+def said_about(finding: Finding, facts: LogFacts) -> list[Statement]:
     """Return the autopilot's warnings and failsafes during an alarm, and shortly after it."""
-    start_s = (one.alarm.start_ns - facts.start_ns) / 1e9
-    end_s = facts.duration_s if one.alarm.end_ns is None else (one.alarm.end_ns - facts.start_ns) / 1e9 + AFTER_S
+    start_s = (finding.alarm.start_ns - facts.start_ns) / 1e9
+    end_s = (
+        facts.duration_s if finding.alarm.end_ns is None else (finding.alarm.end_ns - facts.start_ns) / 1e9 + AFTER_S
+    )
     return [
         said
         for said in facts.statements

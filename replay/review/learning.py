@@ -62,12 +62,14 @@ def learned(path: Path, facts: LogFacts) -> LogFacts:
         except FauioError as error:
             why = " ".join(str(error).replace(str(path), path.name).split())
             return _unlearned(facts, f"nothing could be learned from the first {_LEARNED_S:g} s of flight: {why}")
-    watched = {name: one.watched_s for name, one in replay.watches.items() if one.watched_s}
+    watched = {name: watch.watched_s for name, watch in replay.watches.items() if watch.watched_s}
     if not watched:
         return _unlearned(facts, "what was learned watched nothing of the flight")
     alarms = tuple(_alarms(replay, facts, until_s))
     drawn = {
-        f"estimate_{one.channel}": estimate for one in alarms if (estimate := _estimate(replay.traces, one, facts))
+        f"estimate_{alarm.channel}": estimate
+        for alarm in alarms
+        if (estimate := _estimate(replay.traces, alarm, facts))
     }
     watch = LearnedWatch(until_s, watched, alarms)
     return replace(facts, signals={**facts.signals, **drawn}, watch=watch)

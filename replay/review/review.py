@@ -47,7 +47,7 @@ class LogReview:
     @property
     def first(self) -> ReviewFinding | None:
         """The first thing that stopped following."""
-        return next((one for one in self.findings if one.first), None)
+        return next((finding for finding in self.findings if finding.first), None)
 
     @property
     def sentence(self) -> str:
@@ -60,7 +60,9 @@ class LogReview:
             return f"Nothing wrong found in {self.facts.flight_s:.0f} s of flight; {watched}."
         text = first.judgement.text
         said = f"First, at {first.judgement.start_s:.1f} s, {text} ({first.judgement.confidence})."
-        worst = next((one for one in self.findings if one.judgement.weight == "critical" and not one.first), None)
+        worst = next(
+            (finding for finding in self.findings if finding.judgement.weight == "critical" and not finding.first), None
+        )
         if worst is not None and first.judgement.weight != "critical":
             said += f" Then, at {worst.judgement.start_s:.1f} s, {worst.judgement.text}."
         return said[0].upper() + said[1:]
@@ -68,12 +70,16 @@ class LogReview:
     @property
     def wrong(self) -> bool:
         """Whether anything was found that is more than information."""
-        return any(one.judgement.weight != "information" for one in self.findings)
+        return any(finding.judgement.weight != "information" for finding in self.findings)
 
     def timeline(self) -> list[tuple[float, str, str]]:
         """Return what the log states and what was found, in order: time, kind, text."""
-        stated = [(one.time_s, one.kind, one.text) for one in self.facts.statements if _tells(one)]
-        judged = [(one.judgement.start_s, "finding", one.judgement.text) for one in self.findings]
+        stated = [
+            (statement.time_s, statement.kind, statement.text)
+            for statement in self.facts.statements
+            if _tells(statement)
+        ]
+        judged = [(finding.judgement.start_s, "finding", finding.judgement.text) for finding in self.findings]
         return sorted([*stated, *judged], key=lambda entry: entry[0])
 
     def to_json(self) -> dict[str, Any]:
@@ -87,11 +93,11 @@ class LogReview:
             "verdict": self.sentence,
             "wrong": self.wrong,
             "first": None if self.first is None else self.first.rule.name,
-            "findings": [_finding_json(one) for one in self.findings],
+            "findings": [_finding_json(finding) for finding in self.findings],
             "watched": list(self.watched),
             "not_judged": dict(self.unjudged),
             "timeline": [{"time_s": round(at, 3), "kind": kind, "text": text} for at, kind, text in self.timeline()],
-            "damage": [one.to_json() for one in self.damage],
+            "damage": [part.to_json() for part in self.damage],
         }
 
 
@@ -129,7 +135,7 @@ def judged(path: Path, facts: LogFacts, damage: Sequence[Damage] = ()) -> LogRev
         except UnjudgedError as error:
             unjudged[rule.title] = str(error)
             continue
-        found += ((rule, one) for one in judgements)
+        found += ((rule, judgement) for judgement in judgements)
         if not judgements:
             watched.append(rule.title)
     if facts.watch is not None:
@@ -180,14 +186,14 @@ def _ordered(found: Sequence[tuple[Rule, Judgement]]) -> Iterator[ReviewFinding]
         yield ReviewFinding(rule, judgement, "" if judgement.weight == "information" else rank)
 
 
-def _finding_json(one: ReviewFinding) -> dict[str, Any]:
-    judgement = one.judgement
+def _finding_json(finding: ReviewFinding) -> dict[str, Any]:
+    judgement = finding.judgement
     return {
-        "name": one.rule.name,
-        "stage": one.rule.stage,
+        "name": finding.rule.name,
+        "stage": finding.rule.stage,
         "severity": judgement.weight,
         "confidence": judgement.confidence,
-        "rank": one.rank or None,
+        "rank": finding.rank or None,
         "start_s": round(judgement.start_s, 3),
         "end_s": round(judgement.end_s, 3),
         "text": judgement.text,

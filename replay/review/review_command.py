@@ -48,12 +48,12 @@ def run_review(args: argparse.Namespace) -> int:
     logs = find_logs(args.logs)
     many = len(logs) > 1 or logs[0].path != args.logs[0]
     pages = [target("--report", args.report, log, ".html", many=many) for log in logs]
-    wanted = [one for one in pages if one is not None]
-    if len({one.resolve() for one in wanted}) < len(wanted):
+    wanted = [page for page in pages if page is not None]
+    if len({path.resolve() for path in wanted}) < len(wanted):
         raise UsageError(f"--report {args.report}: names the same file for several logs; put {{log}} into it")
     forbid_overwriting(logs, wanted)
-    for one in wanted:
-        check_output(one)
+    for path in wanted:
+        check_output(path)
     wrong = failed = False
     for log, report in zip(logs, pages, strict=True):
         try:

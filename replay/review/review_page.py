@@ -44,21 +44,23 @@ def review_page(review: LogReview) -> str:
 def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
     if not review.findings:
         yield element("p", "Nothing: what is listed below was looked for and is not there.")
-    for one in review.findings:
-        said = one.judgement
+    for finding in review.findings:
+        said = finding.judgement
         yield element(
             "article",
             element(
-                "h3", (f"{one.rank.capitalize()}: " if one.rank else "") + f"{said.start_s:.1f} s: {one.rule.title}"
+                "h3",
+                (f"{finding.rank.capitalize()}: " if finding.rank else "")
+                + f"{said.start_s:.1f} s: {finding.rule.title}",
             ),
             element("p", said.text[0].upper() + said.text[1:] + "."),
             facts(
                 [
                     ("how sure", said.confidence),
-                    ("where", one.rule.stage),
+                    ("where", finding.rule.stage),
                     *(("evidence", line) for line in said.evidence),
                     *(("against other causes", line) for line in said.counter),
-                    ("physics", one.rule.physics),
+                    ("physics", finding.rule.physics),
                 ]
             ),
             _signals(review, charts, said.plots, said.start_s - _BEFORE_S, said.start_s + _AFTER_S, said.start_s),
@@ -72,7 +74,7 @@ def _entries(review: LogReview) -> Iterator[tuple[str, str, object]]:
 
 
 def _damage(review: LogReview) -> Iterator[tuple[str, str]]:
-    return ((one.file, "; ".join(one.found)) for one in review.damage)
+    return ((part.file, "; ".join(part.found)) for part in review.damage)
 
 
 def _signals(

@@ -16,12 +16,12 @@ def review_lines(review: LogReview) -> Iterator[str]:
     kind = " ".join(word for word in (facts.autopilot, facts.vehicle) if word) or "unknown vehicle"
     yield f"{review.log.name}: {kind}, {facts.duration_s:.0f} s, {facts.flight_s:.0f} s of flight"
     yield f"  {review.sentence}"
-    for one in review.findings:
-        mark = one.rank or one.judgement.weight
-        yield f"  [{mark}] {one.judgement.start_s:.1f} s, {one.rule.title} ({one.judgement.confidence})"
-        yield f"      {one.judgement.text}"
-        yield from (f"      evidence: {line}" for line in one.judgement.evidence)
-        yield from (f"      against: {line}" for line in one.judgement.counter)
+    for finding in review.findings:
+        mark = finding.rank or finding.judgement.weight
+        yield f"  [{mark}] {finding.judgement.start_s:.1f} s, {finding.rule.title} ({finding.judgement.confidence})"
+        yield f"      {finding.judgement.text}"
+        yield from (f"      evidence: {line}" for line in finding.judgement.evidence)
+        yield from (f"      against: {line}" for line in finding.judgement.counter)
     entries = review.timeline()
     if entries:
         yield "  time line:"

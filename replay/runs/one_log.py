@@ -102,8 +102,8 @@ class LogOutcome:
         if self.mismatch is not None:
             found["mismatch"] = self.mismatch
         found["verdict"] = self.sentence or self.verdict
-        found["conditions"] = [one.to_json() for one in self.conditions]
-        found["damage"] = [one.to_json() for one in self.damage]
+        found["conditions"] = [condition.to_json() for condition in self.conditions]
+        found["damage"] = [part.to_json() for part in self.damage]
         return found | {"alarms": [event.to_json() for event in self.events]}
 
 
@@ -235,7 +235,9 @@ def _verdict(found: Replay, profile: Profile, facts: RecordingFacts) -> str:
     other = f"; {found.mismatch}" if found.mismatch is not None else ""
     raised = len(first_raised(found.events))
     alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
-    sparse = (seldom_text(one.name, one.source, one.rate_hz, facts.rates) for one in profile.observers)
+    sparse = (
+        seldom_text(observer.name, observer.source, observer.rate_hz, facts.rates) for observer in profile.observers
+    )
     late = "".join(f"; {line}" for line in sparse if line)
     unwatched_s = sum(seconds for _, seconds in found.unwatched(facts.last_ns or 0))
     part = f"; not all was watched for {unwatched_s:.0f} s of flight" if unwatched_s else ""

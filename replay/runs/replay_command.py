@@ -172,7 +172,7 @@ def _tasks(args: argparse.Namespace, logs: Sequence[LogFile]) -> list[LogTask]:
             # workers have another working directory
             path, folder = path.absolute(), folder.absolute()
             record, plot, rrd, report, mapping = (
-                one and one.absolute() for one in (record, plot, rrd, report, mapping)
+                path and path.absolute() for path in (record, plot, rrd, report, mapping)
             )
         tasks.append(
             LogTask(
@@ -259,7 +259,7 @@ def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
     from adapters.errors import printable
     from monitor.bus.alarm_text import alarm_line, utc
 
-    damage = [one.line() for one in outcome.damage]
+    damage = [part.line() for part in outcome.damage]
     if outcome.error is not None:
         sys.stderr.write(printable(f"fauio: {'; '.join([outcome.error, *damage])}") + "\n")
     else:
@@ -271,8 +271,8 @@ def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
             _say(alarm_line(event))
         for line in outcome.alarms:
             _say(printable(line))
-        for one in outcome.conditions:
-            _say(printable(f"{utc(one.since_ns)[:19]}Z no fault: {one.text}"))
+        for condition in outcome.conditions:
+            _say(printable(f"{utc(condition.since_ns)[:19]}Z no fault: {condition.text}"))
         _say(printable(outcome.verdict))
 
 

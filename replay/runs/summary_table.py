@@ -77,7 +77,7 @@ def summary_row(outcome: LogOutcome) -> dict[str, Any]:
         "worst_severity": max(severities, key=("warning", "critical").index) if severities else None,
         "lacking": "; ".join(lacking) or None,
         "mismatch": outcome.mismatch,
-        "damage": "; ".join(one.line() for one in outcome.damage) or None,
+        "damage": "; ".join(part.line() for part in outcome.damage) or None,
         "processor_s": round(outcome.processor_s, 3),
         "times_real_time": round(duration_s / outcome.processor_s, 1) if duration_s and outcome.processor_s else None,
         **worn,

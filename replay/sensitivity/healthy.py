@@ -36,12 +36,12 @@ class TrialWindow(NamedTuple):
     def newest(self) -> list[Message]:
         """Return the newest message of each name and sender before the onset."""
         newest = {int(columns.position[-1]): one_message(columns, -1) for columns in self.lead.columns}
-        return [message for _, message in sorted((newest | dict(self.lead.others)).items(), key=lambda one: one[0])]
+        return [message for _, message in sorted((newest | dict(self.lead.others)).items(), key=lambda entry: entry[0])]
 
     @property
     def names(self) -> frozenset[str]:
         """Names of all of them."""
-        lead = [columns.name for columns in self.lead.columns] + [one.name for one in self.lead.others.values()]
+        lead = [columns.name for columns in self.lead.columns] + [other.name for other in self.lead.others.values()]
         return frozenset((*lead, *(message.name for message in self.tail)))
 
 

@@ -86,7 +86,7 @@ def _run(task: Task, attack: Attack) -> Outcome:
     # A plant's answer moves its own outputs and nothing else: to other observers a gyro that attitude does not follow.
     watching = replace(profile, observers=(observer,), excuses=()) if made.response is not None else profile
     # Without models nobody works out how sure the estimates are, which no alarm asks; sudden changes are told by them.
-    bare = tuple(one if one.changes else replace(one, model=None) for one in watching.observers)
+    bare = tuple(observer if observer.changes else replace(observer, model=None) for observer in watching.observers)
     pipeline = Pipeline(replace(watching, observers=bare))
     late_ns = (attack.start_ns + attack.end_ns) // 2
     delay_s, others, void = inf, set[str](), False

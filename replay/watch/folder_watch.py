@@ -101,7 +101,7 @@ class FolderWatch:
             "duration_s": round((outcome.end_ns - outcome.start_ns) / 1e9, 1),
             "watched_s": round(outcome.watched_s, 1),
             "alarms": len(outcome.raised),
-            "severity": next((one for one in ("critical", "warning") if one in severities), ""),
+            "severity": next((severity for severity in ("critical", "warning") if severity in severities), ""),
             "verdict": outcome.sentence or outcome.verdict,
             "error": outcome.error or "",
         }
@@ -110,13 +110,13 @@ class FolderWatch:
         """Return what happened in a log as it states it."""
         review = review_log(path)
         write_file(self._out / report, review_page(review))
-        weights = [one.judgement.weight for one in review.findings if one.judgement.weight != "information"]
+        weights = [finding.judgement.weight for finding in review.findings if finding.judgement.weight != "information"]
         return {
             "begin": utc(review.facts.start_ns),
             "duration_s": round(review.facts.duration_s, 1),
             "watched_s": round(review.facts.flight_s, 1),
             "alarms": len(weights),
-            "severity": next((one for one in ("critical", "warning") if one in weights), ""),
+            "severity": next((severity for severity in ("critical", "warning") if severity in weights), ""),
             "verdict": review.sentence,
         }
 
@@ -156,4 +156,4 @@ def _state(path: Path) -> tuple[int, int]:
     """Return the size in bytes of a recording and when it last changed (Unix time, ns)."""
     files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
     states = [file.stat() for file in files]
-    return sum(one.st_size for one in states), max((one.st_mtime_ns for one in states), default=0)
+    return sum(state.st_size for state in states), max((state.st_mtime_ns for state in states), default=0)

@@ -39,7 +39,7 @@ def read_table(path: Path) -> list[LoggedFlight]:
         levels = []
         for name, match in columns.items():
             of = WornChannel(**match.groupdict())
-            value, sd, limit = (cells.number(one) for one in (name, *level_columns(of)[1:]))
+            value, sd, limit = (cells.number(column) for column in (name, *level_columns(of)[1:]))
             if value is not None and sd is not None and limit:
                 levels.append(WearLevel(of, value, sd, limit))
         start = str(row.get("start_utc") or "")

@@ -142,7 +142,7 @@ def _in_order(flights: Sequence[LoggedFlight]) -> tuple[list[LoggedFlight], list
     kept: list[LoggedFlight] = []
     doubled: list[str] = []
     end = -math.inf
-    for flight, start in sorted(zip(flights, starts, strict=True), key=lambda one: one[1] or 0.0):
+    for flight, start in sorted(zip(flights, starts, strict=True), key=lambda flown: flown[1] or 0.0):
         if start is None or start < end:
             doubled.append(flight.log)
             continue
@@ -186,7 +186,7 @@ def _with_parts(trends: Iterable[Trend]) -> list[Trend]:
     """Return the trends, the most certain ones first; of one observer's only the first is named."""
     named: dict[str, str] = {}
     ordered = []
-    for trend in sorted(trends, key=lambda one: (one.state not in ("due", "worn"), -one.certainty)):
+    for trend in sorted(trends, key=lambda trend: (trend.state not in ("due", "worn"), -trend.certainty)):
         state, of = trend.state, trend.of
         if state in ("due", "worn") and named.setdefault(of.observer, of.channel) != of.channel:
             ordered.append(replace(trend, state="part", part_of=named[of.observer], due_h=None))

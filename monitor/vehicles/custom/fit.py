@@ -179,7 +179,9 @@ def _alarms(bare: Fitted, evidence: Sequence[NDArray[np.float64]], declared: Col
     bank = isinstance(bare.isolation, BankRule)
     share, times = FALSE_ALARMS_PER_HOUR / (len(channels) + bank), Times()
     errors = {fault.name: fault.error for fault in bare.plant.faults}
-    levels = [healthy_levels([one[:, at] for one in evidence], rate_hz, share, times) for at in range(len(channels))]
+    levels = [
+        healthy_levels([flight[:, at] for flight in evidence], rate_hz, share, times) for at in range(len(channels))
+    ]
     known = [found.plain.level / errors[channel.name] for found, channel in zip(levels, channels, strict=True)]
     alarms = []
     for channel, found, relative in zip(channels, levels, known, strict=True):

@@ -210,7 +210,7 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
             parameters |= _field(raw, parameters, signal_hz, rate_hz)
         parameters["judge_level"] = _judge_level(raw, parameters, signal_hz, rate_hz)
     found = _designed(request, channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
-    gyro = next((one.rule for one in found.alarms if one.rule.channel in GYROS), None)
+    gyro = next((alarm.rule for alarm in found.alarms if alarm.rule.channel in GYROS), None)
     if gyro is not None and "judge_level" in parameters and gyro.threshold > SMALLEST_GYRO:
         # What the navigation says of gyros is not limited by how well the attitude agrees with them.
         parameters["attitude_share"] = round(SMALLEST_GYRO / gyro.threshold, 3)
@@ -345,7 +345,7 @@ def _field(
     """Return noise and random walk of the magnetic field's direction, as the navigation compares it."""
     transform = Strapdown(parameters, signal_hz, rate_hz)
     flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
-    segments = [InertialSegment(one.u, one.y) for flight in flights for one in flight.segments()]
+    segments = [InertialSegment(segment.u, segment.y) for flight in flights for segment in flight.segments()]
     over_s = max(FIX_S, parameters.get("compass_hold_s", 0.0) / _HELD_PERIODS)
     values = field_noise(segments, transform.inputs, transform.outputs, rate_hz, _WASHOUT_S, over_s)
     return {key: float(f"{value:.3g}") for key, value in values.items()}
@@ -401,7 +401,7 @@ def _told(raw: Sequence[Flight], signal_hz: float) -> bool:
     """Return whether every flight tells most of the time what its estimator had learned to take off the gyros."""
     hold = round(LEARNED_HOLD_S * signal_hz)
     lost = [LearnedBias(hold).run(flight.samples).lost[flight.evidence, 3] for flight in raw]
-    return all(2 * one.sum() < len(one) for one in lost)
+    return all(2 * missing.sum() < len(missing) for missing in lost)
 
 
 def _holds(

@@ -56,13 +56,15 @@ def ros_channels(
     """
 
     def topic(*fields: str) -> str | None:
-        found = [name for name, one in examples.items() if all(isinstance(one.get(key), Mapping) for key in fields)]
+        found = [
+            name for name, example in examples.items() if all(isinstance(example.get(key), Mapping) for key in fields)
+        ]
         return max(sorted(found), key=lambda name: rates.get(name, 0.0), default=None)
 
     imu, odometry = topic(*_IMU_FIELDS), topic("pose", "twist")
     if imu is None:
         return None
-    fixes = [name for name, one in examples.items() if {"latitude", "longitude", "altitude"} <= one.keys()]
+    fixes = [name for name, example in examples.items() if {"latitude", "longitude", "altitude"} <= example.keys()]
     fix = max(sorted(fixes), key=lambda name: rates.get(name, 0.0), default=None)
     vectors = zip(IMU[:6], [(what, *axis) for what in _IMU_FIELDS[:0:-1] for axis in _AHEAD_RIGHT_DOWN], strict=True)
     channels = [Channel(name, imu, (what, axis), scale=sign) for name, (what, axis, sign) in vectors]

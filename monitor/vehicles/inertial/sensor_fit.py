@@ -117,7 +117,7 @@ def identify_inertial(
         y = [segment.y[settle:, j] for segment in usable]
         if chain.source.startswith("speed_"):
             scale[chain.state] = _scale(x, y)
-            x = [scale[chain.state] * one for one in x]
+            x = [scale[chain.state] * series for series in x]
         errors = [a - b for a, b in zip(y, x, strict=True)]
         fast = _spread(errors, 1)
         slow = _spread(errors, round(_SLOW_S * rate_hz))
@@ -218,7 +218,7 @@ def field_noise(
 ) -> dict[str, float]:
     """Return noise and random walk of the magnetic heading against the gyros, from differences over two times."""
     i, j, settle = list(inputs).index("heading_rate"), list(outputs).index("heading"), round(_SETTLE_S * rate_hz)
-    errors = [(one.y[:, j] - washed(one.u[:, i], rate_hz, washout_s))[settle:] for one in segments]
+    errors = [(segment.y[:, j] - washed(segment.u[:, i], rate_hz, washout_s))[settle:] for segment in segments]
     fast, slow = (_spread(errors, round(times * over_s * rate_hz)) for times in (1, 10))
     walk = np.sqrt(max(slow * slow - fast * fast, 0.0) / (9.0 * over_s))
     return {"field_noise": max(fast / np.sqrt(2.0), _SMALLEST), "field_walk": max(float(walk), _LEAST_WALK)}

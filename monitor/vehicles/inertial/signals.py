@@ -170,7 +170,9 @@ def with_learned_biases(surveys: Sequence[Survey], source: StrapdownSource) -> S
     if slow is None:
         return None
     raw = [Channel(name, slow, (name,), scale=_GYRO_SCALE) for name in IMU[3:6]]
-    gyros, rates = ([replace(one, interpolation="previous") for one in found] for found in (raw, _rates(ESTIMATED)))
+    gyros, rates = (
+        [replace(channel, interpolation="previous") for channel in found] for found in (raw, _rates(ESTIMATED))
+    )
     channels = (*source.channels[:3], *gyros, *source.channels[6:], *rates)
     return StrapdownSource(channels, {**source.parameters, LEARNED: LEARNED_HOLD_S}, (*source.seldom, slow), imu=False)
 

@@ -189,13 +189,13 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
     memory_s = parameters["memory_s"]
     source = SampleSource(transform=TransformRule(OBSERVER, rate_hz, parameters), signals=channels)
     flights = _transformed(raw, parameters, rate_hz)
-    left = max(float(np.concatenate([one.samples.y[one.armed, 0] for one in flights]).std()), _LEAST_LEFT)
+    left = max(float(np.concatenate([flight.samples.y[flight.armed, 0] for flight in flights]).std()), _LEAST_LEFT)
     plant = _plant(request.name, rate_hz, left)
     design = design_convex(plant)
     bare = Fitted(
         OBSERVER, plant, (compile_gains(plant, design, certify(plant, design)),), source, IndependentRule(1.0 / rate_hz)
     )
-    evidence = [one[:, 0] for one in healthy_evidence(bare.profile(), gate, flights)]
+    evidence = [run[:, 0] for run in healthy_evidence(bare.profile(), gate, flights)]
     raise_s = max(_RAISE * memory_s, 3.0 / rate_hz)
     times = Times(fast_s=raise_s, raise_s=raise_s, slow_s=_SLOW * memory_s, clear_s=raise_s)
     levels = healthy_levels(evidence, rate_hz, FALSE_ALARMS_PER_HOUR, times)
@@ -251,7 +251,7 @@ def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float] | None:
         if (cells := raw[0].samples.u.shape[1] - 3) > 1:
             values["cells"] = cells
         parameters = {name: float(f"{value:.6g}") for name, value in values.items()}
-        known = np.concatenate([one.samples.u[one.armed, 1] for one in _transformed(raw, parameters, rate_hz)])
+        known = np.concatenate([flight.samples.u[flight.armed, 1] for flight in _transformed(raw, parameters, rate_hz)])
         if known.std() <= _SURE * ohm:
             break
     return parameters

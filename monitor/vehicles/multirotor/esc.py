@@ -191,7 +191,7 @@ def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
 
 
 def _thresholds(fitted: Fitted, kind: str) -> list[float]:
-    return [one.rule.threshold for one in fitted.alarms if one.rule.channel.startswith(kind)]
+    return [alarm.rule.threshold for alarm in fitted.alarms if alarm.rule.channel.startswith(kind)]
 
 
 def _designed(
@@ -209,7 +209,7 @@ def _designed(
     kept = [*range(2 * s), *(range(2 * s, 3 * s) if len(found.names) > s else ())]
     kept += range(3 * s, 4 * s) if found.volts else ()
     rule = TransformRule(OBSERVER, signal_hz, found.parameters())
-    flights = [transformed(_chosen(one, kept), EscInputs(rule.parameters, signal_hz, rate_hz)) for one in raw]
+    flights = [transformed(_chosen(flight, kept), EscInputs(rule.parameters, signal_hz, rate_hz)) for flight in raw]
     plant = esc_plant(found, name, rate_hz)
     design = design_blocks(plant)
     source = SampleSource(transform=rule, signals=tuple(channels[at] for at in kept))
@@ -278,7 +278,7 @@ def esc_plant(found: _Identified, name: str, rate_hz: float) -> Plant:
 def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: float, rate_hz: float) -> _Identified:
     """Identify on raw flights whose signals are commands, then speeds, currents and voltages of as many motors."""
     s = len(commands)
-    u, speed, current, voltage = np.split(np.concatenate([one.samples.u[one.armed] for one in raw]), 4, axis=1)
+    u, speed, current, voltage = np.split(np.concatenate([flight.samples.u[flight.armed] for flight in raw]), 4, axis=1)
     if len(u) < _LEAST_S * signal_hz:
         raise ModelError(
             f"only {len(u) / signal_hz:.0f} s of flight with speeds of motors; {_LEAST_S:.0f} s are needed"
@@ -304,7 +304,7 @@ def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: f
         curves = _Curves(*(np.concatenate(both) for both in zip(curves, drawn, strict=True)))
     numbers = tuple(int(channel.name.removeprefix("motor")) for channel in commands)
     least, most = max(float(np.quantile(u, _LEAST_SHARE)), 0.0), float(np.quantile(u, 1.0 - _LEAST_SHARE))
-    steps = [np.abs(np.diff(one.samples.u[one.armed, :s], axis=0)).ravel() for one in raw]
+    steps = [np.abs(np.diff(flight.samples.u[flight.armed, :s], axis=0)).ravel() for flight in raw]
     fastest = float(np.quantile(np.concatenate(steps), 1.0 - _LEAST_SHARE)) * signal_hz
     return _Identified(numbers, volts, delay_s, lag_s, measured, curves, least, most, fastest, float(prior_u.mean()))
 
@@ -388,7 +388,7 @@ def _alarms(
         places = [at for at, channel in enumerate(channels) if channel.name.startswith(kind)]
         if not places:
             continue
-        levels = healthy_levels([one[:, at] for at in places for one in evidence], rate_hz, share, times)
+        levels = healthy_levels([run[:, at] for at in places for run in evidence], rate_hz, share, times)
         for at in places:
             rule = bare_rule(OBSERVER, channels[at].name, "actuator", channels[at].unit)
             alarms.append(calibrated(rule, levels, 1.0, floor=smallest, critical=critical, times=times))
@@ -400,7 +400,7 @@ def _lines(found: _Identified, signals: EscSignals, alarms: Sequence[Calibrated]
     left = 100.0 * found.curves.left
     order = ", ".join(f"motor{n} {_place(channel)}" for n, channel in zip(found.numbers, signals.speed, strict=True))
     current = "" if len(left) == s else f", currents speeds within {left[s:].mean():.1f} %"
-    sizes = ", ".join(f"{one.rule.channel} {100 * one.rule.threshold:.1f} %" for one in alarms)
+    sizes = ", ".join(f"{alarm.rule.channel} {100 * alarm.rule.threshold:.1f} %" for alarm in alarms)
     return (
         f"at {rate_hz:g} Hz, {1000 * (found.delay_s + found.lag_s):.0f} ms late: speeds follow commands within "
         f"{left[:s].mean():.1f} %{current} (standard deviation)",

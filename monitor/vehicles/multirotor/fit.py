@@ -86,7 +86,7 @@ def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> C
     training, rest = split_segments(flights)
     places = {id(segment.u): number for number, flight in enumerate(flights) for segment in flight}
     try:
-        fit, _ = identify_multirotor(training, rate_hz, flights=[places.get(id(one.u), -1) for one in training])
+        fit, _ = identify_multirotor(training, rate_hz, flights=[places.get(id(segment.u), -1) for segment in training])
     except ModelError:
         return None
     unbroken = [segment for kept in rest for segment in kept.unbroken()]

@@ -181,7 +181,11 @@ def identify_multirotor(
         Too few samples.
     """
     numbers = [0] * len(segments) if flights is None else flights
-    usable = [_Stretch.of(one, number) for one, number in zip(segments, numbers, strict=True) if one.evidence.any()]
+    usable = [
+        _Stretch.of(segment, number)
+        for segment, number in zip(segments, numbers, strict=True)
+        if segment.evidence.any()
+    ]
     samples = sum(int(stretch.own.sum()) for stretch in usable)
     if samples < _LEAST_S * rate_hz:
         raise ModelError(
@@ -413,7 +417,7 @@ class _Descent:
         """Return cost and slopes at the coefficients, with the noise that they leave."""
         prior, pull, cost = self._expected()
         H, gradient = prior.copy(), -pull
-        blocks = np.cumsum([0, *(ceil(len(one.own) / (_BLOCK_S * self.rate_hz)) for one in self.stretches)])
+        blocks = np.cumsum([0, *(ceil(len(stretch.own) / (_BLOCK_S * self.rate_hz)) for stretch in self.stretches)])
         scores = np.zeros((blocks[-1], self.size))
         for o in np.flatnonzero(~self.silent).tolist():
             parts = list(self._columns(o, slopes=True))
@@ -529,7 +533,9 @@ class _Descent:
             errors = [error - away if j in at else error for j, error in enumerate(errors)]
         e, X = np.concatenate(errors), np.hstack(regressors)
         X = X - X.mean(axis=1, keepdims=True)
-        of_blocks = [b for one in errors for b in np.array_split(one, ceil(len(one) / (_GUST_S * self.rate_hz)) or 1)]
+        of_blocks = [
+            b for series in errors for b in np.array_split(series, ceil(len(series) / (_GUST_S * self.rate_hz)) or 1)
+        ]
         of_mean = float(np.linalg.norm([(block - c).sum() for block in of_blocks])) / len(e)
         of_others = float(np.trace(covariance[np.ix_(part, part)] @ (X @ X.T))) / len(e)
         return c, float(e.std()), float(np.hypot(of_mean, np.sqrt(max(of_others, 0.0))))

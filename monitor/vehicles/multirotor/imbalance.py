@@ -239,7 +239,7 @@ def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
     axes = (Channel(axis, message, (axis,), scale=_IMUS[message], interpolation="previous") for axis in _AXES)
     channels = (*axes, *(replace(channel, interpolation="linear") for channel in signals.speed))
     raw = [flight_samples(log(), SampleSource(inputs=channels), signal_hz, gate) for log in request.logs]
-    drift = _drift([one.samples.u[one.armed, len(_AXES) :] for one in raw], signal_hz, signals.rate_hz)
+    drift = _drift([flight.samples.u[flight.armed, len(_AXES) :] for flight in raw], signal_hz, signals.rate_hz)
     if drift > _LARGEST_DRIFT:
         raise ModelError(
             f"which propeller is out of balance cannot be told: speeds come at {signals.rate_hz:.3g} Hz, and within "
@@ -256,7 +256,7 @@ def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
     )
     evidence = healthy_evidence(bare.profile(), gate, flights)
     share = FALSE_ALARMS_PER_HOUR / len(numbers)
-    levels = healthy_levels([one[:, at] for at in range(len(numbers)) for one in evidence], rate_hz, share, _TIMES)
+    levels = healthy_levels([run[:, at] for at in range(len(numbers)) for run in evidence], rate_hz, share, _TIMES)
     alarms = tuple(
         calibrated(
             bare_rule(OBSERVER, fault.name, "actuator", LOG_TIMES),
@@ -288,8 +288,8 @@ def _drift(speeds: Sequence[Array], signal_hz: float, rate_hz: float) -> float:
     Every second measurement is left out and compared with the line through its neighbours, which is twice as long.
     """
     every = max(1, round(signal_hz / rate_hz))
-    taken = [one[::every] for one in speeds]
-    missed = np.concatenate([one[1:-1] - 0.5 * (one[:-2] + one[2:]) for one in taken])
+    taken = [speed[::every] for speed in speeds]
+    missed = np.concatenate([series[1:-1] - 0.5 * (series[:-2] + series[2:]) for series in taken])
     return float(missed.std()) / 60.0 / rate_hz if len(missed) else math.inf
 
 

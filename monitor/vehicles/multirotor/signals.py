@@ -154,14 +154,16 @@ def battery_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...], fl
 
     Of the two messages the one that comes more often; that of cells has a channel for the voltage of each further one.
     """
-    rates = {name: min(one.rate_hz.get(name, 0.0) for one in surveys) for name in (BATTERY_MESSAGE, CELLS_MESSAGE)}
+    rates = {
+        name: min(survey.rate_hz.get(name, 0.0) for survey in surveys) for name in (BATTERY_MESSAGE, CELLS_MESSAGE)
+    }
     message = max(rates, key=lambda name: rates[name])
     in_cells = message == CELLS_MESSAGE
     volts = "voltages[0]" if in_cells else "voltage_battery"
     taken = [("volts", volts, 0.001), ("amps", "current_battery", 0.01), ("left", "battery_remaining", 0.01)]
     if in_cells:
-        cells = [one.examples.get(message, {}).get("voltages") or () for one in surveys]
-        further = min(sum(0 < cell < _UNKNOWN for cell in one[1:]) for one in cells)
+        cells = [survey.examples.get(message, {}).get("voltages") or () for survey in surveys]
+        further = min(sum(0 < cell < _UNKNOWN for cell in volts_of[1:]) for volts_of in cells)
         taken += [(f"volts{at + 1}", f"voltages[{at}]", 0.001) for at in range(1, further + 1)]
     channels = tuple(
         Channel(
@@ -233,8 +235,8 @@ def _moves_as_pulse(output: MotorOutput) -> bool:
 
 
 def _extremes(surveys: Sequence[Survey], numbers: Sequence[int]) -> tuple[int, int]:
-    ranges = [one.outputs[number] for one in surveys for number in numbers]
-    return min(one.low for one in ranges), max(one.high for one in ranges)
+    ranges = [survey.outputs[number] for survey in surveys for number in numbers]
+    return min(limits.low for limits in ranges), max(limits.high for limits in ranges)
 
 
 def _is_no_pulse(output: MotorOutput) -> bool:
@@ -243,10 +245,10 @@ def _is_no_pulse(output: MotorOutput) -> bool:
 
 def _seen(surveys: Sequence[Survey], number: int) -> str:
     """Return the range of an output over all logs, empty where it gave nothing."""
-    ranges = [one.outputs[number] for one in surveys if number in one.outputs]
+    ranges = [survey.outputs[number] for survey in surveys if number in survey.outputs]
     if not ranges:
         return ""
-    low, high = min(one.low for one in ranges), max(one.high for one in ranges)
+    low, high = min(limits.low for limits in ranges), max(limits.high for limits in ranges)
     return f"{low} to {high}" if high > low else f"always {low}"
 
 

@@ -80,7 +80,7 @@ def esc_signals(surveys: Sequence[Survey], motors: int) -> EscSignals | None:
     """
     common = set.intersection(*(set(survey.rate_hz) for survey in surveys)) if surveys else set[str]()
     places: list[tuple[str, int, tuple[tuple[str, int | str], ...], float]] = []
-    measured = _STATUS not in common or all(any(one.examples[_STATUS].get("voltage", ())) for one in surveys)
+    measured = _STATUS not in common or all(any(survey.examples[_STATUS].get("voltage", ())) for survey in surveys)
     if _STATUS in common:
         for slot in range((1 if motors <= _OF_A_MESSAGE else 2) * _OF_A_MESSAGE):
             where = (("index", slot - slot % _OF_A_MESSAGE),)

@@ -184,12 +184,12 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
         OBSERVER, plant, (compile_gains(plant, design, certify(plant, design)),), source, IndependentRule(1.0 / rate_hz)
     )
     healthy = healthy_evidence(bare.profile(), gate, flights)
-    evidence = [one[:, 0] for one in healthy]
+    evidence = [run[:, 0] for run in healthy]
     rule = bare_rule(OBSERVER, OBSERVER, "actuator", LOG_TIMES)
     times = replace(_TIMES, raise_s=max(_TIMES.raise_s, 3.0 / rate_hz), fast_s=max(_TIMES.fast_s, 2.0 / rate_hz))
     found = healthy_levels(evidence, rate_hz, FALSE_ALARMS_PER_HOUR, times)
     alarm = calibrated(rule, found, 1.0, floor=_SMALLEST, critical=_CRITICAL, times=times)
-    clips = [one[:, 1] for one in healthy]
+    clips = [run[:, 1] for run in healthy]
     rule = bare_rule(OBSERVER, CLIPPING, "actuator", CLIPS)
     found = healthy_levels(clips, rate_hz, FALSE_ALARMS_PER_HOUR, times)
     clipping = calibrated(rule, found, 1.0, floor=_CLIPPED, critical=_CRITICALLY, times=times)

@@ -119,8 +119,8 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
         duration_s=records.duration_s,
         armed=tuple(armed),
         flight=tuple(flight),
-        signals={name: one for name, one in signals.items() if one is not None and len(one.time_s)},
-        statements=tuple(sorted(statements, key=lambda one: one.time_s)),
+        signals={name: signal for name, signal in signals.items() if signal is not None and len(signal.time_s)},
+        statements=tuple(sorted(statements, key=lambda statement: statement.time_s)),
         commands=tuple(_commands(records)),
         parameters=records.parameters,
         lacks=lacks,
@@ -146,17 +146,17 @@ def _outputs(records: LogRecords, numbers: Sequence[int]) -> LogSignal | None:
     """Return some outputs, whatever the version of the autopilot calls them."""
     names = [f"motor{k}" for k in numbers]
     known = (records.signal("RCOU", [f"{word}{k}" for k in numbers], names, "of full") for word in _OUTPUT_WORDS)
-    return next((one for one in known if one is not None), None)
+    return next((speed for speed in known if speed is not None), None)
 
 
 def _rpm(records: LogRecords) -> LogSignal | None:
     """Return the speeds of the ESCs on the times of the first of them."""
     speeds = [records.signal(name, ["RPM"], ["rpm"], "rpm") for name in ("ESC", *(f"ESC/{k}" for k in range(1, 12)))]
-    known = [(k, one) for k, one in enumerate(speeds) if one is not None and (one.only > 0).any()]
+    known = [(k, speed) for k, speed in enumerate(speeds) if speed is not None and (speed.only > 0).any()]
     if not known:
         return None
     times = known[0][1].time_s
-    values = np.concatenate([one.at(times) for _, one in known], axis=1)
+    values = np.concatenate([speed.at(times) for _, speed in known], axis=1)
     return LogSignal(times, values, tuple(f"motor{k + 1}" for k, _ in known), "rpm", "ESC")
 
 

@@ -232,13 +232,15 @@ class LogRecords:
         self.parameters: dict[str, float] = {}
         first, last = None, 0
         for batch in batches:
-            for one in batch.columns:
-                if len(one.position):
-                    self._columns.setdefault((one.name, one.system), []).append((one.received_ns, one.fields))
-                    first = int(one.received_ns[0]) if first is None else min(first, int(one.received_ns[0]))
-                    last = max(last, int(one.received_ns[-1]))
-                    if one.name not in PARAMETER_MESSAGES:
-                        self._keep_few(one.name, one.system, one.component, one.received_ns, one.fields)
+            for column in batch.columns:
+                if len(column.position):
+                    self._columns.setdefault((column.name, column.system), []).append(
+                        (column.received_ns, column.fields)
+                    )
+                    first = int(column.received_ns[0]) if first is None else min(first, int(column.received_ns[0]))
+                    last = max(last, int(column.received_ns[-1]))
+                    if column.name not in PARAMETER_MESSAGES:
+                        self._keep_few(column.name, column.system, column.component, column.received_ns, column.fields)
             for message in batch.others.values():
                 if message.name in PARAMETER_MESSAGES and (known := parameter(message)) is not None:
                     self.parameters.setdefault(*known)
@@ -281,12 +283,12 @@ class LogRecords:
         for times_ns, fields in parts:
             values = [_column(fields, place) for place in columns]
             if all(value is not None for value in values):
-                taken.append((times_ns, np.stack([one for one in values if one is not None], axis=1)))
+                taken.append((times_ns, np.stack([column for column in values if column is not None], axis=1)))
         if not taken:
             return None
         times = np.concatenate([times_ns for times_ns, _ in taken])
         order = np.argsort(times, kind="stable")
-        values_of = np.concatenate([one for _, one in taken])[order] * scale
+        values_of = np.concatenate([rows for _, rows in taken])[order] * scale
         return LogSignal((times[order] - self.first_ns) / 1e9, values_of, tuple(names), unit, name)
 
     def listed(self, name: str, system: int = 0) -> list[tuple[float, Mapping[str, Any]]]:
@@ -296,7 +298,7 @@ class LogRecords:
 
     def first(self, *signals: LogSignal | None) -> LogSignal | None:
         """Return the first signal that the log has."""
-        return next((one for one in signals if one is not None and len(one.time_s)), None)
+        return next((signal for signal in signals if signal is not None and len(signal.time_s)), None)
 
 
 ROWS = COMMANDS | {"vehicle_command", "MAVC"}

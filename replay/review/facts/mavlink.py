@@ -115,11 +115,14 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         duration_s=records.duration_s,
         armed=tuple(armed),
         flight=tuple(flight),
-        signals={name: one for name, one in signals.items() if one is not None and len(one.time_s)},
+        signals={name: signal for name, signal in signals.items() if signal is not None and len(signal.time_s)},
         statements=tuple(
-            sorted(_statements(records, system, kind, autopilot, arming, landing, modes), key=lambda one: one.time_s)
+            sorted(
+                _statements(records, system, kind, autopilot, arming, landing, modes),
+                key=lambda statement: statement.time_s,
+            )
         ),
-        commands=tuple(sorted(_commands(records, system), key=lambda one: one.time_s)),
+        commands=tuple(sorted(_commands(records, system), key=lambda statement: statement.time_s)),
         parameters=records.parameters,
         lacks=lacks,
     )

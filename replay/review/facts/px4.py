@@ -111,8 +111,8 @@ def px4_facts(records: LogRecords) -> LogFacts:
         duration_s=records.duration_s,
         armed=tuple(armed),
         flight=tuple(flight),
-        signals={name: one for name, one in signals.items() if one is not None and len(one.time_s)},
-        statements=tuple(sorted(_statements(records, arming, landing), key=lambda one: one.time_s)),
+        signals={name: signal for name, signal in signals.items() if signal is not None and len(signal.time_s)},
+        statements=tuple(sorted(_statements(records, arming, landing), key=lambda statement: statement.time_s)),
         commands=tuple(_commands(records)),
         parameters=records.parameters,
         lacks=lacks,
@@ -141,7 +141,7 @@ def _motors(records: LogRecords, armed: Sequence[tuple[float, float]], lacks: di
             lacks[topic] = "its outputs never move while armed: nothing that flies is connected to it"
             continue
         moving.append((int(_varied(during).sum()), _scaled(outputs, _varied(during))))
-    return max(moving, key=lambda one: one[0])[1] if moving else None
+    return max(moving, key=lambda entry: entry[0])[1] if moving else None
 
 
 def _varied(values: Floats) -> NDArray[np.bool_]:
@@ -163,7 +163,7 @@ def _scaled(outputs: LogSignal, moves: NDArray[np.bool_]) -> LogSignal:
         share = np.maximum(values - _PWM_SPAN, 0.0) / _PWM_SPAN
     else:
         share = values / _DSHOT_FULL
-    names = tuple(name for name, one in zip(outputs.names, moves, strict=True) if one)
+    names = tuple(name for name, moved in zip(outputs.names, moves, strict=True) if moved)
     return LogSignal(outputs.time_s, share, names, "of full", outputs.origin)
 
 
@@ -173,7 +173,7 @@ def _rpm(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSignal
     if not count:
         return None
     times = np.array([at for at, _ in rows])
-    values = np.array([[float(one.get("esc_rpm", 0)) for one in row["esc"][:count]] for _, row in rows])
+    values = np.array([[float(controller.get("esc_rpm", 0)) for controller in row["esc"][:count]] for _, row in rows])
     if not (values[inside(times, armed)] > 0).any():
         return None
     return LogSignal(times, values, tuple(f"motor{k + 1}" for k in range(count)), "rpm", "esc_status")

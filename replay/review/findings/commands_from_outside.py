@@ -13,18 +13,20 @@ from replay.review.findings.rule import Judgement, Rule
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     watch, flood_s = CommandWatch(), None
-    flown = facts.in_flight(np.array([one.time_s for one in facts.commands]))
-    for one, flies in zip(facts.commands, flown.tolist(), strict=True):
-        for said in watch.follow(one, flies):
+    flown = facts.in_flight(np.array([command.time_s for command in facts.commands]))
+    for command, flies in zip(facts.commands, flown.tolist(), strict=True):
+        for said in watch.follow(command, flies):
             if said.kind == "flood":
-                flood_s = one.time_s if flood_s is None else flood_s
+                flood_s = command.time_s if flood_s is None else flood_s
                 continue
             known = sorted(watch.known)
             yield Judgement(
-                start_s=one.time_s,
-                end_s=one.time_s,
+                start_s=command.time_s,
+                end_s=command.time_s,
                 text=said.text,
-                evidence=(f"{one.name} at {one.time_s:.2f} s with {', '.join(map(str, one.values)) or 'nothing'}",),
+                evidence=(
+                    f"{command.name} at {command.time_s:.2f} s with {', '.join(map(str, command.values)) or 'nothing'}",
+                ),
                 counter=(
                     f"commands before take-off came from {known or 'nobody'}",
                     "a second ground station that was switched on in flight looks the same",

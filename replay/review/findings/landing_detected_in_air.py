@@ -14,9 +14,9 @@ _BEFORE_S = 2.0
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    landings = [one for one in facts.statements if one.kind == "landing" and one.level]
+    landings = [statement for statement in facts.statements if statement.kind == "landing" and statement.level]
     for start, end, fell in stops(facts):
-        said = [one for one in landings if -_BEFORE_S <= one.time_s - start <= 0.5]
+        said = [landing for landing in landings if -_BEFORE_S <= landing.time_s - start <= 0.5]
         if not said:
             continue
         at = said[-1].time_s

@@ -37,24 +37,26 @@ def alarms_of(
     end_s = lost_s(facts)
     # what the motors' observer says of gyros is command against motion: which of the two is wrong it cannot tell alone
     lasting = [
-        one
-        for one in watch.alarms
-        if one.channel.startswith(channels) and _own(one) and _until_s(one, facts, end_s) - one.start_s >= _LEAST_S
+        alarm
+        for alarm in watch.alarms
+        if alarm.channel.startswith(channels)
+        and _own(alarm)
+        and _until_s(alarm, facts, end_s) - alarm.start_s >= _LEAST_S
     ]
     learned_s = watch.until_s - max((start for start, _ in facts.flight if start < watch.until_s), default=0.0)
-    wrong = {one.observer: one for one in reversed(lasting) if not one.possible}
-    sound = [one for one in lasting if one.observer not in wrong]
+    wrong = {alarm.observer: alarm for alarm in reversed(lasting) if not alarm.possible}
+    sound = [alarm for alarm in lasting if alarm.observer not in wrong]
     if wrong and not sound:
-        first = min(wrong.values(), key=lambda one: one.start_s)
+        first = min(wrong.values(), key=lambda alarm: alarm.start_s)
         raise UnjudgedError(
             f"what the first {learned_s:.0f} s taught does not hold of the flight: from {first.start_s:.0f} s on "
             f"{first.channel} would lack more than there is"
         )
-    for channel in dict.fromkeys(one.channel for one in sound):
-        every = [one for one in sound if one.channel == channel]
-        staying = [one for one in every if _stays(one, facts, end_s)]
+    for channel in dict.fromkeys(alarm.channel for alarm in sound):
+        every = [alarm for alarm in sound if alarm.channel == channel]
+        staying = [alarm for alarm in every if _stays(alarm, facts, end_s)]
         own = staying or every
-        largest = max(own, key=lambda one: one.share)
+        largest = max(own, key=lambda alarm: alarm.share)
         enough = bool(staying) and largest.share >= least_share and not _within_accuracy(largest)
         # a heading off and a turn rate off look alike to the sensors that are left
         either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
@@ -79,8 +81,8 @@ def _within_accuracy(alarm: LearnedAlarm) -> bool:
 
 
 def _overlaps(alarms: Sequence[LearnedAlarm], watch: LearnedWatch, channel: str) -> bool:
-    others = [one for one in watch.alarms if one.channel == channel]
-    return any(one.start_s < other.end_s and other.start_s < one.end_s for one in alarms for other in others)
+    others = [alarm for alarm in watch.alarms if alarm.channel == channel]
+    return any(alarm.start_s < other.end_s and other.start_s < alarm.end_s for alarm in alarms for other in others)
 
 
 def _own(alarm: LearnedAlarm) -> bool:

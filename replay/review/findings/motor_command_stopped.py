@@ -23,9 +23,17 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     judged = facts.in_flight(times) & (times < lost_s(facts))
     for k, name in enumerate(motors.names):
         others = np.median(np.delete(values, k, axis=1), axis=1)
-        marked = [one for one in facts.statements if one.kind == "stopped" and one.text == name and one.level]
+        marked = [
+            statement
+            for statement in facts.statements
+            if statement.kind == "stopped" and statement.text == name and statement.level
+        ]
         stopped = spans_where(times, (values[:, k] < STOPPED) & (others > _FLYING) & judged, _LEAST_S)
-        stopped += [(one.time_s, one.time_s) for one in marked if facts.in_flight(np.array([one.time_s]))[0]]
+        stopped += [
+            (statement.time_s, statement.time_s)
+            for statement in marked
+            if facts.in_flight(np.array([statement.time_s]))[0]
+        ]
         for start, until in sorted(stopped)[:1]:
             end = until
             if until == start:

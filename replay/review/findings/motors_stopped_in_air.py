@@ -14,19 +14,23 @@ _NEAR_S = 1.5
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     for start, end, fell in stops(facts):
-        near = [one for one in facts.statements if abs(one.time_s - start) <= _NEAR_S]
-        if any(one.kind == "landing" and one.level for one in near):
+        near = [statement for statement in facts.statements if abs(statement.time_s - start) <= _NEAR_S]
+        if any(statement.kind == "landing" and statement.level for statement in near):
             continue
-        causes = [one for one in near if one.kind in ("kill", "failsafe") or (one.kind == "arming" and not one.level)]
+        causes = [
+            statement
+            for statement in near
+            if statement.kind in ("kill", "failsafe") or (statement.kind == "arming" and not statement.level)
+        ]
         why = f": {causes[0].text}" if causes else ", and the log does not say why"
         yield Judgement(
-            start_s=min([start, *(one.time_s for one in causes)]),
+            start_s=min([start, *(cause.time_s for cause in causes)]),
             end_s=end,
             text=f"all motors were commanded to stop in the air{why}; the vehicle fell {fell:.0f} m",
             evidence=(
                 f"{facts.signals['motors'].origin}: all motors at zero from {start:.2f} to {end:.2f} s",
                 f"{facts.signals['height'].origin}: {fell:.1f} m lower within 3 s of it",
-                *(f"{one.kind} at {one.time_s:.2f} s: {one.text}" for one in causes),
+                *(f"{cause.kind} at {cause.time_s:.2f} s: {cause.text}" for cause in causes),
             ),
             counter=("no landing was detected before it", "the commands themselves are zero: no motor failed"),
             confidence="certain",

@@ -21,7 +21,9 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     for start, end in tumbles(facts)[:1]:
         if any(at < start for at in stopped):
             return
-        modes = [one.text for one in facts.statements if one.kind == "mode" and one.time_s <= start]
+        modes = [
+            statement.text for statement in facts.statements if statement.kind == "mode" and statement.time_s <= start
+        ]
         stayed = any(until > facts.flight[-1][1] - _STAYED_S for _, until in tumbles(facts))
         meant = bool(modes) and any(word in modes[-1] for word in _ON_PURPOSE) and not stayed
         most = float(np.abs(attitude.during(start, end + 0.1).values[:, :2]).max())
