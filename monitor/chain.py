@@ -442,8 +442,9 @@ class ObserverChain:
         # what no fault explains has errors of all of them in it
         outside = np.ones(len(samples)) if beyond is None else beyond
         if self._excitation is not None:
-            scale[:, self._excited] = self._excitation.run(samples, found.level)[:, 2:]
-            outside = np.maximum(outside, scale[:, self._excited].max(axis=1, initial=1.0))
+            excited = self._excitation.run(samples, found.level)
+            scale[:, self._excited] = excited[:, 2:]
+            outside = np.maximum(outside, self._excitation.beyond(excited))
         if beyond is not None:
             # an edge is judged by what is flat before and after it
             scale = np.where(self._healthy > 0.0, scale * beyond[:, None], scale)

@@ -99,6 +99,11 @@ class ExcitationStage:
             self._rows += int(np.count_nonzero(outside.any(axis=1)))
         return np.asarray(found, np.float64)
 
+    def beyond(self, found: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how many times further than in the fitted flights n rows of :meth:`run` are, 1 inside of them (n,)."""
+        known = self._fitted > 0.0
+        return np.asarray((found[:, :2][:, known] / self._fitted[known]).max(axis=1, initial=1.0))
+
     @property
     def outside(self) -> str | None:
         """What of the last ``HOLD_S`` lies outside of the fitted flights, for people; None where nothing does."""
