@@ -1,5 +1,18 @@
 # cython: language_level=3
-"""What the strapdown transform uses of the navigation."""
+"""What the strapdown transform uses of the navigation, and what both take a heading for."""
+
+from libc.math cimport M_PI, fabs, floor
+
+# Cosine of the pitch from which on a heading is not compared: errors of the attitude count twice in it at 60 degrees,
+# and beyond it without bound; at the vertical a heading is none.
+cdef inline bint is_steep(double cosine) noexcept:
+    return fabs(cosine) < 0.5
+
+
+cdef inline double wrapped(double angle) noexcept:
+    """Return an angle in radians between -pi and pi."""
+    return angle - 2.0 * M_PI * floor((angle + M_PI) / (2.0 * M_PI))
+
 
 cdef enum:
     STATES = 11

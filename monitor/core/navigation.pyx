@@ -31,7 +31,7 @@ as errors of a bias that walks slowly have one sign (cov >= 0); the bound is wha
 In hover a tilt and a bias of an accelerometer cannot be told apart; what tells is that no gyro turned.
 """
 
-from libc.math cimport INFINITY, atan2, cos, fabs, fmax, sin, sqrt
+from libc.math cimport INFINITY, atan2, cos, fabs, fmax, hypot, sin, sqrt
 from libc.string cimport memcmp, memcpy, memmove, memset
 
 from adapters.channels import STANDARD_GRAVITY
@@ -90,8 +90,6 @@ cdef double[2] _MOST = [1.0, 4.0]
 # A heading this far off, rad, is that of another start: the autopilot has set its attitude anew, to a right one or to a
 # wrong one. It counts again when the way that the vehicle goes agrees with it, within twice its noise.
 cdef double _TURNED = 0.5
-# Sine of the pitch from which on a heading tells nothing: at 60 degrees errors of the attitude count twice in it.
-cdef double _STEEP = 0.87
 # Steps with a fault that no hypothesis tells until the filter begins anew: a second set of onsets.
 cdef int _HELPLESS = 2 * ONSETS
 # Steps between two onsets.
@@ -254,7 +252,7 @@ cdef class Navigation:
         cdef double late = self._field_delay_s, square
         cdef int i, j, k
         if self._field_noise == 0.0:
-            self._direction, self._pointed = _wrapped(atan2(R[3], R[0]) - atan2(self._R[3], self._R[0])), True
+            self._direction, self._pointed = wrapped(atan2(R[3], R[0]) - atan2(self._R[3], self._R[0])), True
             return
         if memcmp(field, self._field, sizeof(self._field)) == 0:
             return
@@ -326,7 +324,7 @@ cdef class Navigation:
             self._sharp[i] *= _PEAK_KEPT
         innovation[2], variance[2] = 0.0, INFINITY
         if self._field_noise == 0.0:
-            if self._pointed and fabs(self._R[6]) <= _STEEP:
+            if self._pointed and not is_steep(hypot(self._R[7], self._R[8])):
                 if not self._turned and fabs(self._direction) > _TURNED:
                     self._turned = True
                     self._P[2][2] += self._direction * self._direction
@@ -335,7 +333,7 @@ cdef class Navigation:
                 if not self._turned:
                     innovation[2], variance[2] = self._direction, _HEADING_NOISE * _HEADING_NOISE
         elif self._pointed and self.believed():
-            off = _wrapped(self._direction - self._declined)
+            off = wrapped(self._direction - self._declined)
             spread = self._field_noise * self._field_noise + (self._field_timing_s * self._whirl) ** 2
             if not self.steps(off, spread + self._P[2][2] + 2.0 * self._P[2][_H] + self._P[_H][_H]):
                 innovation[2], variance[2] = off, spread
@@ -354,7 +352,7 @@ cdef class Navigation:
             self._aimed, self._declined, self._strength = True, self._direction, strength
         off = fabs(strength / self._strength - 1.0)
         if self.strayed:
-            turned = fabs(_wrapped(self._direction - self._declined)) - 3.0 * sqrt(self._P[2][2] + self._P[_H][_H])
+            turned = fabs(wrapped(self._direction - self._declined)) - 3.0 * sqrt(self._P[2][2] + self._P[_H][_H])
             self._back_s = self._back_s + self._every * self._dt if fmax(off, turned) < _FIELD_LEAST else 0.0
             self.strayed = self._back_s < _BACK_S
         else:
@@ -612,11 +610,6 @@ cdef class Navigation:
         if not self._begun:
             return 0.0
         return sqrt(self._P[_BG + which][_BG + which] + (self._doubt[which] if self._faulty[which] else 0.0))
-
-
-cdef inline double _wrapped(double angle) noexcept:
-    """Return an angle in radians between -pi and pi."""
-    return atan2(sin(angle), cos(angle))
 
 
 cdef inline void _turned(const double* R, const double* turn, double* result) noexcept:

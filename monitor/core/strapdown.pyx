@@ -14,16 +14,13 @@ from cpython.mem cimport PyMem_Free, PyMem_Malloc
 from libc.math cimport INFINITY, M_PI, atan2, cos, fabs, fmod, hypot, pow, sin, sqrt
 from libc.string cimport memcmp, memcpy, memset
 
-from monitor.core.navigation cimport Navigation
+from monitor.core.navigation cimport Navigation, is_steep, wrapped
 
 cdef double _GRAVITY = STANDARD_GRAVITY
 # WGS-84: semi-major axis in metres and square of the first eccentricity.
 cdef double _WGS84_A = 6_378_137.0
 cdef double _WGS84_E2 = 6.694_379_990_14e-3
 cdef double _DEGREE = M_PI / 180.0
-# Cosine of the pitch from which on the compass is not compared: an error of the attitude is twice as large in the
-# heading at 60 degrees, and grows without bound; at the vertical a heading is none.
-cdef double _STEEPEST_COSINE = 0.5
 # Chosen: an attitude that turns faster than the gyro measures by this much (rad/s, well above a gyro's bias) was
 # reset, as where another estimator took over. That takes a few ticks at most: one that goes on for longer is believed.
 cdef double _RESET_RATE = 1.0
@@ -418,7 +415,7 @@ cdef class StrapdownCore:
         cdef double* altitude = NULL
         cdef double[9] before
         cdef double[3] mean
-        cdef double[9] level_by
+        cdef double[9] upright
         cdef double biased, course
         cdef bint full, first, steep = False, still = lacks[_IMU] or self._still
         cdef int i = 0, k = 0, axis
@@ -441,21 +438,17 @@ cdef class StrapdownCore:
         if still or self._learned:
             memcpy(mean, rate, sizeof(mean))
         if self._biased_s > 0.0:
-            # level by the navigation's vertical
-            for i in range(9):
-                level_by[i] = _product(self._apart, before, i // 3, i % 3)
-            memcpy(before, level_by, sizeof(before))
-            for i in range(9):
-                level_by[i] = _product(self._apart, R, i // 3, i % 3)
-            values[2], values[3] = max(hypot(level_by[7], level_by[8]), 1e-9), -level_by[6]
-            values[0], values[1] = level_by[8] / values[2], level_by[7] / values[2]
-            i = 0
+            memcpy(upright, R, sizeof(R))
+            self.turn_upright(upright)
+            self.turn_upright(before)
+            values[2], values[3] = max(hypot(upright[7], upright[8]), 1e-9), -upright[6]
+            values[0], values[1] = upright[8] / values[2], upright[7] / values[2]
         # Of a gyro y that is known to be at fault its bias is left out; that of a gyro z is the observer's to find.
         biased = 0.0 if self._navigation is None or still else self._navigation.fault(1)
         values[4] = _heading_rate(before, self._dt, mean[0], mean[1] - biased, mean[2])
         values[5] = still
         # Between two measurements on either side of the vertical a straight line of roll, pitch and yaw is no attitude.
-        values[6] = self._resets > 0 or fabs(values[2]) < _STEEPEST_COSINE
+        values[6] = self._resets > 0 or is_steep(values[2])
         level = self._levels.push(values)
         # Acceleration north, east and down: R f + g.
         for axis in range(3):
@@ -552,6 +545,14 @@ cdef class StrapdownCore:
         )
         return True
 
+    cdef void turn_upright(self, double* R) noexcept:
+        """Turn an attitude of the autopilot to the vertical of the navigation."""
+        cdef double[9] turned
+        cdef int i
+        for i in range(9):
+            turned[i] = _product(self._apart, R, i // 3, i % 3)
+        memcpy(R, turned, sizeof(turned))
+
     cdef void navigate(self, const double* sensed, const double* fix, double* motion) noexcept:
         """Put the accelerations of the vehicle's own navigation in place of those with the autopilot's attitude."""
         cdef bint lacks = sensed[15] != 0.0, due
@@ -618,7 +619,7 @@ cdef class StrapdownCore:
         self._field_age = min(self._field_age + 1, self._compass_hold) if same else 0
         memcpy(self._field, field, sizeof(self._field))
         if not steep and (not same or self._field_age >= self._compass_hold):
-            self._heading = self._heading + _wrapped(_magnetic_heading(level, field) - self._heading)
+            self._heading = self._heading + wrapped(_magnetic_heading(level, field) - self._heading)
 
     cdef void reckon(self, bint imu, bint gps, bint baro, bint mag, double* y, double* meant) noexcept:
         """Let what lacks since the tick before follow what is there.
@@ -811,7 +812,7 @@ cdef double _heading_rate(const double* R, double dt, double p, double q, double
     if angle > 1e-4:
         s, c = sin(angle) / angle, (1.0 - cos(angle)) / square
     ahead[0], ahead[1], ahead[2] = 1.0 + c * (x * x - square), s * z + c * x * y, c * x * z - s * y
-    return _wrapped(
+    return wrapped(
         atan2(
             R[3] * ahead[0] + R[4] * ahead[1] + R[5] * ahead[2], R[0] * ahead[0] + R[1] * ahead[1] + R[2] * ahead[2]
         )
@@ -836,11 +837,6 @@ cdef void _metres_per_degree(double latitude, double* lengths) noexcept:
 cdef inline double _pressure_altitude(double pressure_hpa) noexcept:
     """Return the altitude in the standard atmosphere (ISO 2533), metres."""
     return 44_330.77 * (1.0 - pow((0.0 if pressure_hpa < 0.0 else pressure_hpa) / 1013.25, 0.190_263))
-
-
-cdef inline double _wrapped(double angle) noexcept:
-    """Return an angle in radians between -pi and pi."""
-    return _modulo(angle + M_PI, 2.0 * M_PI) - M_PI
 
 
 cdef inline double _modulo(double value, double period) noexcept:
