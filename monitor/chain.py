@@ -217,7 +217,7 @@ class ObserverChain:
             states=gains.states,
             faults=names,
             fault_units=tuple(channel.unit for channel in profile.faults),
-            usual_commands=profile.usual_commands,
+            usual_commands=tuple(map(profile.usual_commands.get, names)),
             smoothing_s=profile.isolation.smoothing_s,
         )
         observer = AffineObserver(profile.gains)

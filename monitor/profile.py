@@ -157,14 +157,16 @@ class ObserverProfile:
         return self.gains[0].rate_hz
 
     @property
-    def usual_commands(self) -> tuple[float | None, ...]:
-        """Of each fault the command with which its motor hovers, None where it is none of a motor."""
+    def usual_commands(self) -> dict[str, float]:
+        """The command with which each motor hovers, by the name of its fault, as far as it is known."""
         usual = {
             channel.name: channel.stopped_as
             for channel in self.source.channels
             if channel.stopped_as and channel.stopped_as > 0.0
         }
-        return tuple(None if fault.input is None else usual.get(fault.name) for fault in self.faults)
+        return {
+            fault.name: usual[fault.name] for fault in self.faults if fault.input is not None and fault.name in usual
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -147,6 +147,8 @@ cdef class Interleaved:
             largest, spread, apart = 0.0, 0.0, INFINITY
             for at in range(1, ROWS):
                 largest = max(largest, fabs(self.step(at - 1, at, i)))
+            # The first row begins a group, the first that is far from its newest row another one; each of the others
+            # goes to the group whose newest row is nearer.
             last[0], last[1], count[0], count[1], before, turns = 0, -1, 1, 0, 0, 0
             for at in range(1, ROWS):
                 size = fabs(self.step(last[0], at, i))

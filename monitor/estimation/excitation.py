@@ -95,8 +95,7 @@ class ExcitationStage:
         if len(found):
             self._newest = found[-1]
             self._largest = np.fmax(self._largest, found[:, :2].max(axis=0))
-            outside = (found[:, :2] > WORTH_SAYING * self._fitted) & (self._fitted > 0.0)
-            self._rows += int(np.count_nonzero(outside.any(axis=1)))
+            self._rows += int(np.count_nonzero(self.beyond(found) > WORTH_SAYING))
         return np.asarray(found, np.float64)
 
     def beyond(self, found: NDArray[np.float64]) -> NDArray[np.float64]:

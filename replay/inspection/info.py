@@ -72,7 +72,6 @@ def _messages(observer: ObserverProfile) -> set[str]:
 
 def _observer(observer: ObserverProfile, said: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     gains = observer.gains
-    commands = dict(zip((fault.name for fault in observer.faults), observer.usual_commands, strict=True))
     return {
         "rate_hz": observer.rate_hz,
         "hypotheses": len(gains),
@@ -86,7 +85,7 @@ def _observer(observer: ObserverProfile, said: Mapping[str, Mapping[str, Any]]) 
             rule.channel: {
                 "kind": rule.kind,
                 "threshold": rule.threshold,
-                "usual_command": commands.get(rule.channel),
+                "usual_command": observer.usual_commands.get(rule.channel),
                 "critical": rule.critical,
                 "unit": rule.unit,
                 "raise_s": rule.raise_s,

@@ -118,10 +118,9 @@ def watched_channels(
                 (result.alarm.observer, result.alarm.channel) == (rule.observer, rule.channel) for result in results
             ),
             effect=by_effect.get((rule.observer, rule.channel)),
-            usual_command=commands.get(rule.channel),
+            usual_command=observer.usual_commands.get(rule.channel),
         )
         for observer in profile.observers
-        for commands in (dict(zip((fault.name for fault in observer.faults), observer.usual_commands, strict=True)),)
         for rule in observer.alarms
     ]
 
