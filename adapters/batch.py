@@ -175,13 +175,13 @@ def arrival_times(batch: Batch) -> NDArray[np.int64]:
 def memory_bytes(batch: Batch) -> int:
     """Return about how much memory a batch takes."""
     columns = 0
-    for column in batch.columns:
-        fields = column.fields
+    for group in batch.columns:
+        fields = group.fields
         if isinstance(fields, RecordFields):
             size = fields.record.nbytes
         else:
             size = sum(values.nbytes + _VALUE_BYTES for values in fields.values())
-        columns += size + column.position.nbytes + column.received_ns.nbytes
+        columns += size + group.position.nbytes + group.received_ns.nbytes
     return columns + sum(_message_bytes(message) for message in batch.others.values())
 
 

@@ -153,7 +153,7 @@ def play_batches(
         recorder = _recorder(stack, record, pipeline) if record is not None else None
         for batch in batches:
             count += batch.count
-            seen.update(column.name for column in batch.columns)
+            seen.update(group.name for group in batch.columns)
             seen.update(message.name for message in batch.others.values())
             if recorder is not None:
                 _record(recorder, pipeline, batch)
@@ -236,7 +236,7 @@ def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:
             if pipeline.system:
                 break
     rest = cut(batch, place, batch.count)
-    columns = tuple(column for column in rest.columns if pipeline.accepts(column))
+    columns = tuple(group for group in rest.columns if pipeline.accepts(group))
     others = {at: message for at, message in rest.others.items() if pipeline.accepts(message)}
     recorder.batch(Batch(rest.count, columns, others))
     # which vehicle it is the pipeline finds by itself: what came before its first channel is not its own

@@ -221,9 +221,9 @@ class _Telemetry:
         times_ns = _times_ns(batch)
         columns = [column for filler in self._fillers for column in filler.run(batch, times_ns, self._passed)]
         only = self._only
-        for column in batch.columns:
-            if only is None or column.name in only:
-                columns.append(replace(column, position=_place(self._passed + column.position)))
+        for group in batch.columns:
+            if only is None or group.name in only:
+                columns.append(replace(group, position=_place(self._passed + group.position)))
         others = {
             int(_place(self._passed + at)): message
             for at, message in batch.others.items()
@@ -437,10 +437,10 @@ class _Filler:
         count = len(records.position)
         values: dict[str, NDArray[Any]] = {}
         valid = np.ones(count, np.bool_)
-        for own in self._own:
-            number, known = _values(own, records)
-            values[own.name] = self._stamped(own, _carried(own, number, known), records.received_ns)
-            if own.channel is not None and own.values is not None:
+        for field in self._own:
+            number, known = _values(field, records)
+            values[field.name] = self._stamped(field, _carried(field, number, known), records.received_ns)
+            if field.channel is not None and field.values is not None:
                 valid &= known
         for topic, fields in self._held.items():
             row, held = self._newest(batch, topic, fields, records.position)
@@ -644,7 +644,7 @@ class _Recorded:
     @classmethod
     def of(cls, batch: Batch, name: str) -> _Recorded:
         """Return the records of a name in a batch."""
-        groups = [column for column in batch.columns if column.name == name]
+        groups = [group for group in batch.columns if group.name == name]
         others = {at: message for at, message in batch.others.items() if message.name == name}
         if len(groups) == 1 and not others:
             return cls(groups[0].position, groups[0].received_ns, groups[0], ())

@@ -277,7 +277,7 @@ class StartScan(LogClock):
             The time that the head of the file says.
         """
         for _ in batches:
-            if sum(len(stamps_ns) for ones in self._stamps.values() for stamps_ns in ones) >= _SCANNED:
+            if sum(len(times_ns) for parts in self._stamps.values() for times_ns in parts) >= _SCANNED:
                 break
         stamps = {name: np.unique(np.concatenate(ones)) for name, ones in self._stamps.items()}
         every = np.unique(np.concatenate([np.empty(0, np.int64), *stamps.values()]))
@@ -473,7 +473,7 @@ def first_relation(
         none: the relation, nanoseconds (n,), and whether it can be one (n,).
     """
     for batch in batches:
-        rows = [(column.position, column.received_ns, column.fields) for column in batch.columns]
+        rows = [(group.position, group.received_ns, group.fields) for group in batch.columns]
         rows += [
             (
                 np.array([at]),
@@ -503,7 +503,7 @@ def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> RecordL
 
     Of fields of the same name the last one counts.
     """
-    by_name = {field_name.name: (field_name, kind, at) for field_name, kind, at in fields}
+    by_name = {entry.name: (entry, kind, at) for entry, kind, at in fields}
     dtype = np.dtype(
         {
             "names": list(by_name),
@@ -512,7 +512,7 @@ def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> RecordL
             "itemsize": size,
         }
     )
-    return RecordLayout(dtype, tuple(field_name for field_name, _, _ in by_name.values()))
+    return RecordLayout(dtype, tuple(entry for entry, _, _ in by_name.values()))
 
 
 def truth(values: NDArray[Any]) -> NDArray[np.bool_]:

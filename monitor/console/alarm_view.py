@@ -78,8 +78,8 @@ def watch(
                 table.take(event, time.time_ns())
                 # at most one refresh a period, however many come
                 event = subscriber.receive(0.0) if time.monotonic() - now < REFRESH_S else None
-            for sample in estimates.take():
-                table.resize(*sample)
+            for sizes in estimates.take():
+                table.resize(*sizes)
             rows = table.rows(time.time_ns())
             for key in keyboard.pressed():
                 if key == "q":
@@ -152,9 +152,7 @@ def draw(
         table.add_row(*(Text(getattr(row, name)) for name in columns), style=style)
     active = sum(row.group == "active" for row in rows)
     gone = sorted({row.vehicle for row in rows} - subscriber.live)
-    header = _header(
-        active, gone, subscriber, endpoints, {vehicle.vehicle: vehicle.messages_per_s for vehicle in there}
-    )
+    header = _header(active, gone, subscriber, endpoints, {status.vehicle: status.messages_per_s for status in there})
     lines = [header, *warnings, table if rows else Text("no alarm is active", style="dim")]
     if len(rows) > len(shown):
         lines.append(Text(f"and {len(rows) - len(shown)} more", style="dim"))

@@ -174,8 +174,8 @@ class Fitted:
     def table(self) -> dict[str, Any]:
         """Return the observer's part of profile.toml."""
         sees = {
-            sensitivity.channel: capability_text(sensitivity).removeprefix(f"{sensitivity.channel}: ")
-            for sensitivity in self.capability
+            capability.channel: capability_text(capability).removeprefix(f"{capability.channel}: ")
+            for capability in self.capability
         }
         return observer_table(self.profile(), sees)
 
@@ -200,8 +200,8 @@ class Fitted:
             "sqrt_mu": self.sqrt_mu,
             "alarms": {found.rule.channel: _alarm_report(found) for found in self.alarms},
             "capability": {
-                sensitivity.channel: asdict(sensitivity) | {"text": capability_text(sensitivity)}
-                for sensitivity in self.capability
+                capability.channel: asdict(capability) | {"text": capability_text(capability)}
+                for capability in self.capability
             },
         }
 
@@ -212,7 +212,7 @@ class Fitted:
             *(f"  {line}" for line in self.lines),
             *(f"  {line}" for line in self.details if details),
             *(f"  {line}" for line in self._agreement(details)),
-            *(f"  sees {capability_text(sensitivity)}" for sensitivity in self.capability),
+            *(f"  sees {capability_text(capability)}" for capability in self.capability),
             *self._false_alarms(),
         ]
 

@@ -89,7 +89,8 @@ def common_identity(identities: Iterable[Identity]) -> Identity:
     """Return what is known of any and contradicts none of the others."""
     given = list(identities)
     known = {
-        name.name: {value for identity in given if (value := getattr(identity, name.name))} for name in fields(Identity)
+        field.name: {value for identity in given if (value := getattr(identity, field.name))}
+        for field in fields(Identity)
     }
     return Identity(**{name: values.pop() for name, values in known.items() if len(values) == 1})
 

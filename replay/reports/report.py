@@ -115,18 +115,18 @@ def _nothing_found(run: Run, watched: Sequence[WatchedChannel]) -> str:
         return "Nothing: no observer watched for a single sample. This says nothing about the vehicle."
     blind = "".join(f" {name} watched nothing at all." for name in _blind(run.replay))
     least: dict[str, WatchedChannel] = {}
-    for alarm in watched:
-        known = least.get(alarm.rule.channel, alarm).rule
+    for candidate in watched:
+        known = least.get(candidate.rule.channel, candidate).rule
         if (
-            alarm.watched_s
-            and alarm.effect is None
-            and "times" not in alarm.rule.unit
-            and alarm.rule.threshold <= known.threshold
+            candidate.watched_s
+            and candidate.effect is None
+            and "times" not in candidate.rule.unit
+            and candidate.rule.threshold <= known.threshold
         ):
-            least[alarm.rule.channel] = alarm
+            least[candidate.rule.channel] = candidate
     from_size: dict[str, list[str]] = {}
-    for channel, alarm in least.items():
-        from_size.setdefault(alarm.size_text(alarm.rule.threshold), []).append(channel)
+    for channel, candidate in least.items():
+        from_size.setdefault(candidate.size_text(candidate.rule.threshold), []).append(channel)
     seen = "; ".join(f"{', '.join(channels)} from {size}" for size, channels in from_size.items())
     return (
         f"No alarm was raised.{blind} That covers the channels below, from their thresholds on, while watched."
@@ -201,8 +201,8 @@ def _watched(run: Run, results: Sequence[Finding], watched: Sequence[WatchedChan
         "The largest estimate while alarms could be raised, and the size that raises one. Thresholds were set on "
         f"healthy flights for {FALSE_ALARMS_PER_HOUR:g} false alarms per hour and observer, shared by its channels.",
     )
-    for observer in dict.fromkeys(alarm.rule.observer for alarm in watched):
-        own = [alarm for alarm in watched if alarm.rule.observer == observer]
+    for observer in dict.fromkeys(entry.rule.observer for entry in watched):
+        own = [entry for entry in watched if entry.rule.observer == observer]
         watched_s = own[0].watched_s
         yield element("h3", f"{observer}, " + (f"watched for {span_text(watched_s)}" if watched_s else "never watched"))
         yield table(_WATCHED_HEADS, map(_of_channel, own), numbers=range(1, 4))

@@ -146,7 +146,7 @@ def _outputs(records: LogRecords, numbers: Sequence[int]) -> LogSignal | None:
     """Return some outputs, whatever the version of the autopilot calls them."""
     names = [f"motor{k}" for k in numbers]
     known = (records.signal("RCOU", [f"{word}{k}" for k in numbers], names, "of full") for word in _OUTPUT_WORDS)
-    return next((speed for speed in known if speed is not None), None)
+    return next((commands for commands in known if commands is not None), None)
 
 
 def _rpm(records: LogRecords) -> LogSignal | None:

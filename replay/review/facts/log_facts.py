@@ -232,15 +232,13 @@ class LogRecords:
         self.parameters: dict[str, float] = {}
         first, last = None, 0
         for batch in batches:
-            for column in batch.columns:
-                if len(column.position):
-                    self._columns.setdefault((column.name, column.system), []).append(
-                        (column.received_ns, column.fields)
-                    )
-                    first = int(column.received_ns[0]) if first is None else min(first, int(column.received_ns[0]))
-                    last = max(last, int(column.received_ns[-1]))
-                    if column.name not in PARAMETER_MESSAGES:
-                        self._keep_few(column.name, column.system, column.component, column.received_ns, column.fields)
+            for group in batch.columns:
+                if len(group.position):
+                    self._columns.setdefault((group.name, group.system), []).append((group.received_ns, group.fields))
+                    first = int(group.received_ns[0]) if first is None else min(first, int(group.received_ns[0]))
+                    last = max(last, int(group.received_ns[-1]))
+                    if group.name not in PARAMETER_MESSAGES:
+                        self._keep_few(group.name, group.system, group.component, group.received_ns, group.fields)
             for message in batch.others.values():
                 if message.name in PARAMETER_MESSAGES and (known := parameter(message)) is not None:
                     self.parameters.setdefault(*known)

@@ -122,7 +122,7 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
                 key=lambda statement: statement.time_s,
             )
         ),
-        commands=tuple(sorted(_commands(records, system), key=lambda statement: statement.time_s)),
+        commands=tuple(sorted(_commands(records, system), key=lambda command: command.time_s)),
         parameters=records.parameters,
         lacks=lacks,
     )
