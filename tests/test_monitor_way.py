@@ -25,7 +25,8 @@ def message(name: str, second: float, **fields: float) -> Message:
 def way() -> Way:
     fixes = [message("GPS_RAW_INT", k, lat=470_000_000 + 90 * k, lon=80_000_000, alt=400_000) for k in range(15)]
     turns = [message("ATTITUDE", k, roll=0.0, pitch=0.0, yaw=np.pi / 2) for k in range(15)]
-    found = way_of([pack([message("GPS_RAW_INT", 0.0, lat=0, lon=0, alt=0), *fixes]), pack(turns)])
+    lost = message("GPS_RAW_INT", 0.0, lat=-350_000_000, lon=1_470_000_000, alt=0, fix_type=1)
+    found = way_of([pack([message("GPS_RAW_INT", 0.0, lat=0, lon=0, alt=0), lost]), pack(fixes), pack(turns)])
     assert found is not None
     return found
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from adapters.batch import Batch
 from adapters.errors import printable
+from monitor.recording.foxglove_records import FIX_2D
 
 _TEXTS = 20
 """Messages that are kept. Chosen: an autopilot says fewer in a minute."""
@@ -23,8 +24,6 @@ _DEGREES = 1e-7
 """MAVLink counts latitudes in ten millionths of a degree."""
 _METRES = 1e-3
 """MAVLink counts altitudes in millimetres."""
-_FIX_2D = 2
-"""GPS_FIX_TYPE: a position. Receivers without one say where they last were, or anything."""
 _NAMES = ("HEARTBEAT", "GLOBAL_POSITION_INT", "GPS_RAW_INT")
 
 
@@ -60,7 +59,7 @@ class VehicleFacts:
                 self._facts["heartbeat"] = {key: int(value) for key, value in beat.items()}
         elif "latitude" in fields:
             self._place("gps", [last(key) for key in ("latitude", "longitude", "altitude")])
-        elif not last("fix_type") < _FIX_2D:  # what has no kind of fix is the autopilot's own position
+        elif not last("fix_type") < FIX_2D:  # what has no kind of fix is the autopilot's own position
             place = [last("lat") * _DEGREES, last("lon") * _DEGREES, last("alt") * _METRES]
             self._place("gps" if name == "GPS_RAW_INT" else "position", place)
 
