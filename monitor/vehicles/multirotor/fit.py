@@ -593,7 +593,6 @@ def _lines(drive: _Drive, hover: Sequence[float], alarms: Sequence[Calibrated]) 
     rules = {found.rule.channel: found.rule for found in alarms}
     motors = (channel.name for channel in drive.inputs)
     return tuple(
-        f"{motor} alarm from {100 * rules[motor].threshold / command:.1f} % loss at hover (command {command:.2f}, "
-        f"threshold {size_text(rules[motor].threshold, rules[motor].unit)})"
+        f"{motor} alarm from {size_text(rules[motor].threshold, rules[motor].unit, command)} (hovers at {command:.2f})"
         for motor, command in zip(motors, hover, strict=True)
     )
