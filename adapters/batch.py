@@ -91,29 +91,15 @@ Fields = Mapping[str, NDArray[np.generic]]
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """The m messages of one name and one sender in a batch.
+    """The m messages of one name and one sender in a batch."""
 
-    Parameters
-    ----------
-    source, name : str
-        As of :class:`adapters.message.Message`.
-    system, component : int
-        MAVLink ids of the sender.
-    position : NDArray[np.int64]
-        Index of each among all messages of the batch (m,), ascending.
-    received_ns : NDArray[np.int64]
-        Unix times of arrival, nanoseconds (m,).
-    fields : Mapping[str, NDArray]
-        Decoded fields in the type they have on the wire (m,); an array field has shape (m, its length).
-    """
-
-    source: Source
+    source: Source  # as of :class:`adapters.message.Message`
     name: str
-    system: int
+    system: int  # MAVLink ids of the sender
     component: int
-    position: NDArray[np.int64]
-    received_ns: NDArray[np.int64]
-    fields: Fields
+    position: NDArray[np.int64]  # index of each among all messages of the batch (m,), ascending
+    received_ns: NDArray[np.int64]  # Unix times of arrival, nanoseconds (m,)
+    fields: Fields  # decoded fields in the type they have on the wire (m,); an array field has shape (m, its length)
 
 
 @dataclass(frozen=True, slots=True)

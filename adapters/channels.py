@@ -38,59 +38,39 @@ _FOXGLOVE_STAMP = "timestamp"
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One scalar signal taken from telemetry: ``value = scale * field + offset``.
+    """One scalar signal taken from telemetry: ``value = scale * field + offset``."""
 
-    Parameters
-    ----------
-    name : str
-        The user's name of the channel, the same as in the plant model.
-    message : str
-        MAVLink message name, Zenoh key or topic of ROS 2 (without its leading slash) the field is taken from.
-    path : tuple[str | int, ...]
-        Steps into the message's fields, ``"data[3]"`` being ``("data", 3)``. A name in place of a number,
-        ``"position[elbow]"``, is looked up in the list ``name`` beside: the joints of a JointState, whose order may
-        change from message to message.
-    scale, offset : float
-        From the field's unit to the channel's.
-    where : tuple[tuple[str, int | str], ...]
-        Fields and the values they must have, where several senders share a message name: SERVO_OUTPUT_RAW
-        with ``port`` 0 and 1, DEBUG_FLOAT_ARRAY with different ``name``.
-    at_least : tuple[tuple[str, float], ...]
-        Fields and the least values with which the message is a measurement: a receiver without a fix repeats its last
-        one with a lower ``fix_type``.
-    clock : str | None
-        Field with the measurement's time on the vehicle's clock, a number or seconds and nanoseconds as ROS 2
-        writes them (``sec``, ``nanosec``); None takes ``time_boot_ms``, ``time_usec``, ``time_ns``,
-        ``header.stamp`` or such a ``timestamp``, whichever the message has, and the newest vehicle time where it has
-        none.
-    clock_unit_ns : int | None
-        Nanoseconds per count of that field; None: known from the usual names.
-    interpolation : {"linear", "previous", "mean"}
-        The value at a tick of the grid: on the straight line between two measurements, that of the newest, or the mean
-        of those lines until the next tick.
-    period : float | None
-        Of a value that wraps, in the channel's unit: an angle of 359 degrees and one of 1 degree (period 360) are 2
-        degrees apart. Interpolation goes the shorter way round and may leave the range.
-    angle : {"roll", "pitch", "yaw"} | None
-        The field holds a quaternion (``x``, ``y``, ``z``, ``w``, as ROS 2 has it): take this angle of it, radians, of
-        the rotations about z, then y, then x that it stands for. None: the field is a number.
-    stopped_as : float | None
-        Of a motor's command, 0 to 1: what a value below zero counts as, which an autopilot sends of a motor that it has
-        stopped. With the command of hovering, a motor that is stopped in flight is one that delivers nothing of it.
-    """
-
-    name: str
+    name: str  # the user's name of the channel, the same as in the plant model
+    # MAVLink message name, Zenoh key or topic of ROS 2 (without its leading slash) the field is taken from
     message: str
+    # Steps into the message's fields, ``"data[3]"`` being ``("data", 3)``. A name in place of a number,
+    # ``"position[elbow]"``, is looked up in the list ``name`` beside: the joints of a JointState, whose order may
+    # change from message to message.
     path: tuple[str | int, ...]
-    scale: float = 1.0
+    scale: float = 1.0  # from the field's unit to the channel's
     offset: float = 0.0
+    # fields and the values they must have, where several senders share a message name: SERVO_OUTPUT_RAW with ``port`` 0
+    # and 1, DEBUG_FLOAT_ARRAY with different ``name``
     where: tuple[tuple[str, int | str], ...] = ()
+    # field with the measurement's time on the vehicle's clock, a number or seconds and nanoseconds as ROS 2 writes them
+    # (``sec``, ``nanosec``); None takes ``time_boot_ms``, ``time_usec``, ``time_ns``, ``header.stamp`` or such a
+    # ``timestamp``, whichever the message has, and the newest vehicle time where it has none
     clock: str | None = None
-    clock_unit_ns: int | None = None
+    clock_unit_ns: int | None = None  # nanoseconds per count of that field; None: known from the usual names
+    # the value at a tick of the grid: on the straight line between two measurements, that of the newest, or the mean of
+    # those lines until the next tick
     interpolation: Interpolation = "linear"
+    # Of a value that wraps, in the channel's unit: an angle of 359 degrees and one of 1 degree (period 360) are 2
+    # degrees apart. Interpolation goes the shorter way round and may leave the range.
     period: float | None = None
+    # The field holds a quaternion (``x``, ``y``, ``z``, ``w``, as ROS 2 has it): take this angle of it, radians, of the
+    # rotations about z, then y, then x that it stands for. None: the field is a number.
     angle: Angle | None = None
+    # Of a motor's command, 0 to 1: what a value below zero counts as, which an autopilot sends of a motor that it has
+    # stopped. With the command of hovering, a motor that is stopped in flight is one that delivers nothing of it.
     stopped_as: float | None = None
+    # fields and the least values with which the message is a measurement: a receiver without a fix repeats its last one
+    # with a lower ``fix_type``
     at_least: tuple[tuple[str, float], ...] = ()
 
     def selects(self, fields: Mapping[str, Any]) -> bool:

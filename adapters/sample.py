@@ -13,41 +13,25 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Inputs and outputs of a plant at n consecutive ticks of the grid, a row for each tick.
+    """Inputs and outputs of a plant at n consecutive ticks of the grid, a row for each tick."""
 
-    Parameters
-    ----------
-    index : NDArray[np.int64]
-        Tick numbers k (n,); tick k is at k / rate on the vehicle's clock.
-    vehicle_time_ns : NDArray[np.int64]
-        Times of the ticks on the vehicle's own clock, nanoseconds since its start (n,).
-    time_ns : NDArray[np.int64]
-        Unix times of the ticks, nanoseconds (n,).
-    u, y : NDArray[np.float64]
-        Inputs (n, s) and outputs (n, p) in the channel order of the profile, units of the plant model.
-    restart : NDArray[np.bool_]
-        True on the first sample after a gap, a clock jump or the start: the observer restarts (n,).
-    complete : NDArray[np.bool_]
-        False where measurements of a channel were lost around the tick (n,).
-    known_ns : NDArray[np.int64]
-        Time on the vehicle's clock of the newest measurement a sample was interpolated from, where that is later than
-        the tick: with a GPS of 5 Hz up to 200 ms (n,). Conclusions from the sample are not known earlier.
-    measured : NDArray[np.bool_]
-        False where the observer has to coast on its model, which is better than what ``y`` holds there (n,).
-    lost : NDArray[np.bool_]
-        Inputs, then outputs, of which the sample holds no measurement, but a straight line over many lost ones or the
-        newest value (n, s + p).
-    """
-
-    index: NDArray[np.int64]
+    index: NDArray[np.int64]  # tick numbers k (n,); tick k is at k / rate on the vehicle's clock
+    # times of the ticks on the vehicle's own clock, nanoseconds since its start (n,)
     vehicle_time_ns: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
+    time_ns: NDArray[np.int64]  # Unix times of the ticks, nanoseconds (n,)
+    # inputs (n, s) and outputs (n, p) in the channel order of the profile, units of the plant model
     u: NDArray[np.float64]
     y: NDArray[np.float64]
+    # True on the first sample after a gap, a clock jump or the start: the observer restarts (n,)
     restart: NDArray[np.bool_]
-    complete: NDArray[np.bool_]
+    complete: NDArray[np.bool_]  # false where measurements of a channel were lost around the tick (n,)
+    # Time on the vehicle's clock of the newest measurement a sample was interpolated from, where that is later than the
+    # tick: with a GPS of 5 Hz up to 200 ms (n,). Conclusions from the sample are not known earlier.
     known_ns: NDArray[np.int64]
+    # false where the observer has to coast on its model, which is better than what ``y`` holds there (n,)
     measured: NDArray[np.bool_]
+    # inputs, then outputs, of which the sample holds no measurement, but a straight line over many lost ones or the
+    # newest value (n, s + p)
     lost: NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -77,24 +61,13 @@ def joined_samples(parts: Sequence[Samples]) -> Samples:
 
 
 class Given(NamedTuple):
-    """Samples made of others: of raw signals, of several in a row.
+    """Samples made of others: of raw signals, of several in a row."""
 
-    Parameters
-    ----------
-    samples : Samples
-        The n samples.
-    rows : NDArray[np.intp] | slice
-        Row of the sample that completed each (n,); all of them where each is one of those.
-    spread : Mapping[str, NDArray[np.float64]]
-        Standard deviation of faults that y itself holds an estimate of, by name (n,), in their units.
-    unflown : NDArray[np.bool_] | None
-        Where y is lost because what came is unlike the fitted flights (n,), not for lack of it.
-    beyond : NDArray[np.float64] | None
-        How many times larger sizes are for being unlike the fitted flights (n,).
-    """
-
-    samples: Samples
-    rows: NDArray[np.intp] | slice
+    samples: Samples  # the n samples
+    rows: NDArray[np.intp] | slice  # row of the sample that completed each (n,); all of them where each is one of those
+    # standard deviation of faults that y itself holds an estimate of, by name (n,), in their units
     spread: Mapping[str, NDArray[np.float64]] = MappingProxyType({})
+    # where y is lost because what came is unlike the fitted flights (n,), not for lack of it
     unflown: NDArray[np.bool_] | None = None
+    # how many times larger sizes are for being unlike the fitted flights (n,)
     beyond: NDArray[np.float64] | None = None

@@ -14,30 +14,19 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """A kind of source; there is one value of each name, so values are compared by identity.
+    """A kind of source; there is one value of each name, so values are compared by identity."""
 
-    Parameters
-    ----------
-    name : str
-        What recordings store: the first part of a message's topic.
-    is_telemetry : bool
-        Whether its messages are measurements of a vehicle, which samplers read. All others tell the pipeline about
-        something else: time that passes, operators, the journal.
-    has_ids : bool
-        Whether its messages carry the ids of a MAVLink system (and of a component, where they are telemetry), so that
-        a monitor has to choose its vehicle's. Messages without ids belong to the vehicle that the link is for.
-    zero_stamp_is_unset : bool
-        Whether a time stamp of zero says that the sender does not know the time, as in MAVLink; elsewhere it is the
-        first moment of the vehicle's clock.
-    is_onboard_log : bool
-        Whether its messages are records of a log that the vehicle wrote itself.
-    """
-
-    name: str
+    name: str  # what recordings store: the first part of a message's topic
+    # Whether its messages are measurements of a vehicle, which samplers read. All others tell the pipeline about
+    # something else: time that passes, operators, the journal.
     is_telemetry: bool = False
+    # Whether its messages carry the ids of a MAVLink system (and of a component, where they are telemetry), so that a
+    # monitor has to choose its vehicle's. Messages without ids belong to the vehicle that the link is for.
     has_ids: bool = False
+    # whether a time stamp of zero says that the sender does not know the time, as in MAVLink; elsewhere it is the first
+    # moment of the vehicle's clock
     zero_stamp_is_unset: bool = False
-    is_onboard_log: bool = False
+    is_onboard_log: bool = False  # whether its messages are records of a log that the vehicle wrote itself
 
     def __str__(self) -> str:
         return self.name

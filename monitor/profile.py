@@ -100,55 +100,31 @@ class FaultChannel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ObserverProfile:
-    """One observer of the profile: gains, where its channels come from, and its alarms.
+    """One observer of the profile: gains, where its channels come from, and its alarms."""
 
-    Parameters
-    ----------
-    name : str
-        The observer's name.
-    gains : tuple[Gains, ...]
-        Its gains; those of each hypothesis where it is a bank. All share inputs, outputs, states and rate.
-    faults : tuple[FaultChannel, ...]
-        All fault channels, actuators first.
-    source : SampleSource
-        Where u and y come from.
-    isolation : IsolationRule
-        How estimates become evidence.
-    alarms : tuple[AlarmRule, ...]
-        What raises alarms.
-    settle_s : float
-        Wait before its samples are evidence, seconds, where that is longer than the gate's; 0: as long as its gains
-        take to forget a wrong start (:mod:`monitor.estimation.affine`).
-    effectiveness : Mapping[str, EffectivenessRule]
-        Faults whose evidence is read against the deflection at which they arise, by name.
-    changes : ChangeRule | None
-        How sudden changes are told from noise; None: not at all.
-    excitation : ExcitationRule | None
-        How the sizes that raise alarms of actuators grow with what excites the model's errors; None: not at all.
-    envelope : Envelope | None
-        What the raw signals of its transform reached in the flights that were fitted; None: not known.
-    spread : Mapping[str, float]
-        How many times the standard deviation of the design the estimates of faults have in healthy flight, by name;
-        once where it is left out.
-    supply : SupplyRule | None
-        How commands act with the battery's voltage; None: they do not, or it is not known.
-    model : Plant | None
-        The model the gains were designed for; without one the uncertainty of the estimates is not known.
-    """
-
-    name: str
+    name: str  # the observer's name
+    # Its gains; those of each hypothesis where it is a bank. All share inputs, outputs, states and rate.
     gains: tuple[Gains, ...]
-    faults: tuple[FaultChannel, ...]
-    source: SampleSource
-    isolation: IsolationRule
-    alarms: tuple[AlarmRule, ...]
+    faults: tuple[FaultChannel, ...]  # all fault channels, actuators first
+    source: SampleSource  # where u and y come from
+    isolation: IsolationRule  # how estimates become evidence
+    alarms: tuple[AlarmRule, ...]  # what raises alarms
+    # wait before its samples are evidence, seconds, where that is longer than the gate's; 0: as long as its gains take
+    # to forget a wrong start (:mod:`monitor.estimation.affine`)
     settle_s: float = 0.0
+    # faults whose evidence is read against the deflection at which they arise, by name
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
-    changes: ChangeRule | None = None
+    changes: ChangeRule | None = None  # how sudden changes are told from noise; None: not at all
+    # how the sizes that raise alarms of actuators grow with what excites the model's errors; None: not at all
     excitation: ExcitationRule | None = None
+    # what the raw signals of its transform reached in the flights that were fitted; None: not known
     envelope: Envelope | None = None
+    # how many times the standard deviation of the design the estimates of faults have in healthy flight, by name; once
+    # where it is left out
     spread: Mapping[str, float] = field(default_factory=dict)
+    # how commands act with the battery's voltage; None: they do not, or it is not known
     supply: SupplyRule | None = None
+    # the model the gains were designed for; without one the uncertainty of the estimates is not known
     model: Plant | None = None
 
     @property

@@ -82,24 +82,12 @@ _FIX_3D = 3
 
 @dataclass(slots=True)
 class _Format:
-    """A kind of record as the log defines it.
+    """A kind of record as the log defines it."""
 
-    Parameters
-    ----------
-    kind : RecordKind
-        Its name and fields.
-    length : int
-        Its bytes with mark and number.
-    columns : tuple[str, ...]
-        Names of all fields.
-    defines : bool
-        Whether its records say what others look like.
-    """
-
-    kind: RecordKind
-    length: int
-    columns: tuple[str, ...]
-    defines: bool = False
+    kind: RecordKind  # its name and fields
+    length: int  # its bytes with mark and number
+    columns: tuple[str, ...]  # names of all fields
+    defines: bool = False  # whether its records say what others look like
 
 
 class DataflashReader:

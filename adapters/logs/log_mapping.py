@@ -39,51 +39,26 @@ PARAMETERS: Final = "PARM"
 
 @dataclass(frozen=True, slots=True)
 class FieldRule:
-    """One field of a MAVLink message.
+    """One field of a MAVLink message."""
 
-    Parameters
-    ----------
-    name : str
-        The field.
-    topic : str
-        Name of the log's record it is taken from.
-    channel : Channel | None
-        Where in that record, scale and offset; None for a constant.
-    joined : bool
-        Taken from another record than the one that makes the message: interpolated linearly to that one's time, or
-        its last value, as the channel says.
-    angle : {"roll", "pitch", "yaw"} | None
-        The channel's place holds a quaternion (w, x, y, z), body to earth; this is its angle.
-    values : Mapping[str, int] | None
-        The values that whole numbers of the log stand for; a number that is not listed makes no message unless
-        ``otherwise`` has one.
-    constant : int | None
-        The value.
-    unknown : int | float
-        The value where the log has none.
-    required : bool
-        The log has to have this place to fill the message.
-    code : str
-        How the message carries it: a struct code.
-    otherwise : FieldRule | None
-        Where else in the same record to look for a number that is not listed.
-    before : tuple[int, int] | None
-        The values that it changes between: before the first record, it has the one that the record does not have.
-        Without any record it has the first in a log of ArduPilot that was begun at arming, the other in one that was
-        begun before.
-    """
-
-    name: str
-    topic: str
-    channel: Channel | None
+    name: str  # the field
+    topic: str  # name of the log's record it is taken from
+    channel: Channel | None  # where in that record, scale and offset; None for a constant
+    # taken from another record than the one that makes the message: interpolated linearly to that one's time, or its
+    # last value, as the channel says
     joined: bool
-    angle: Angle | None
+    angle: Angle | None  # the channel's place holds a quaternion (w, x, y, z), body to earth; this is its angle
+    # the values that whole numbers of the log stand for; a number that is not listed makes no message unless
+    # ``otherwise`` has one
     values: Mapping[str, int] | None
-    constant: int | None
-    unknown: int | float
-    required: bool
-    code: str
-    otherwise: FieldRule | None = None
+    constant: int | None  # the value
+    unknown: int | float  # the value where the log has none
+    required: bool  # the log has to have this place to fill the message
+    code: str  # how the message carries it: a struct code
+    otherwise: FieldRule | None = None  # where else in the same record to look for a number that is not listed
+    # The values that it changes between: before the first record, it has the one that the record does not have. Without
+    # any record it has the first in a log of ArduPilot that was begun at arming, the other in one that was begun
+    # before.
     before: tuple[int, int] | None = None
 
     @property

@@ -293,22 +293,13 @@ def _times_ns(batch: Batch) -> Integers:
 
 @dataclass(frozen=True, slots=True)
 class _Series:
-    """n records of one name: positions in the log, times, and values of some rules' fields.
+    """n records of one name: positions in the log, times, and values of some rules' fields."""
 
-    Parameters
-    ----------
-    position, received_ns : NDArray[np.int64]
-        (n,).
-    values : Mapping[str, NDArray]
-        By field of the rule (n,): numbers as they are measured, or as the message carries them.
-    known : Mapping[str, NDArray[np.bool_]]
-        Where there is a number (n,).
-    """
-
-    position: Integers
+    position: Integers  # (n,)
     received_ns: Integers
+    # by field of the rule (n,): numbers as they are measured, or as the message carries them
     values: Mapping[str, NDArray[Any]]
-    known: Mapping[str, NDArray[np.bool_]]
+    known: Mapping[str, NDArray[np.bool_]]  # where there is a number (n,)
 
     def __len__(self) -> int:
         return len(self.position)
@@ -557,24 +548,12 @@ def _due(times_ns: Integers, start: int, stop: int, sent_ns: int, every_ns: int)
 
 @dataclass(frozen=True, slots=True)
 class _Join:
-    """The records of a topic on either side of n messages.
+    """The records of a topic on either side of n messages."""
 
-    Parameters
-    ----------
-    pair : NDArray[np.int64]
-        Their rows (n, 2), -1 where there are none; the one before twice where it stands for both.
-    final : NDArray[np.bool_]
-        Whether no record to come can change that (n,).
-    early : NDArray[np.bool_]
-        Whether the message is older than all records of a topic that it needs (n,).
-    kept : NDArray[np.int64]
-        The first row that is still of use to each message, and to those to come (n + 1,).
-    """
-
-    pair: Integers
-    final: NDArray[np.bool_]
-    early: NDArray[np.bool_]
-    kept: Integers
+    pair: Integers  # their rows (n, 2), -1 where there are none; the one before twice where it stands for both
+    final: NDArray[np.bool_]  # whether no record to come can change that (n,)
+    early: NDArray[np.bool_]  # whether the message is older than all records of a topic that it needs (n,)
+    kept: Integers  # the first row that is still of use to each message, and to those to come (n + 1,)
 
     @classmethod
     def of(cls, rows: _Series, messages: _Series, required: bool, end: int | None) -> _Join:

@@ -72,25 +72,14 @@ _SUMMARY_BYTES = 1024
 
 @dataclass(frozen=True, slots=True)
 class WriterStatistics:
-    """What a log writer did so far.
+    """What a log writer did so far."""
 
-    Parameters
-    ----------
-    records : int
-        Records taken, on all topics.
-    unrecordable : int
-        Messages left out because no record can hold them: values no JSON knows, a time before 1970, or more
-        topics than :data:`MAX_CHANNELS`.
-    written : int
-        Records handed to the operating system; the others wait in the current chunk, or were lost.
-    dropped : int
-        Records lost to writes that failed.
-    """
-
-    records: int
+    records: int  # records taken, on all topics
+    # messages left out because no record can hold them: values no JSON knows, a time before 1970, or more topics than
+    # :data:`MAX_CHANNELS`
     unrecordable: int
-    written: int
-    dropped: int = 0
+    written: int  # records handed to the operating system; the others wait in the current chunk, or were lost
+    dropped: int = 0  # records lost to writes that failed
 
 
 class MessageLogWriter:

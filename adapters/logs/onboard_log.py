@@ -29,63 +29,32 @@ FieldValues: TypeAlias = "NDArray[np.generic] | list[Any]"
 
 @dataclass(frozen=True, slots=True)
 class OnboardLogStatistics:
-    """Counts of a reader of onboard logs.
+    """Counts of a reader of onboard logs."""
 
-    Parameters
-    ----------
-    records : int
-        Records of the log's own kinds, wanted or not.
-    unknown : int
-        Whole records of kinds that the format did not know when this was written.
-    damaged : int
-        Places where the log was damaged.
-    skipped_bytes : int
-        Bytes that belong to no record.
-    broken_off : bool
-        Whether the log ends within a record, or its compressed data early.
-    """
-
-    records: int
-    unknown: int
-    damaged: int
-    skipped_bytes: int
-    broken_off: bool
+    records: int  # records of the log's own kinds, wanted or not
+    unknown: int  # whole records of kinds that the format did not know when this was written
+    damaged: int  # places where the log was damaged
+    skipped_bytes: int  # bytes that belong to no record
+    broken_off: bool  # whether the log ends within a record, or its compressed data early
 
 
 @dataclass(frozen=True, slots=True)
 class LayoutField:
-    """One field of a layout.
+    """One field of a layout."""
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    convert : Callable | None
-        From the field's values as they lie in the log, one row per record, to numbers (an array of as many rows) or
-        to anything else (a list); None leaves numbers as they are.
-    numbers : bool
-        Whether the values are numbers, or lists of numbers that are alike long.
-    """
-
-    name: str
+    name: str  # its name
+    # from the field's values as they lie in the log, one row per record, to numbers (an array of as many rows) or to
+    # anything else (a list); None leaves numbers as they are
     convert: Callable[[NDArray[Any]], FieldValues] | None = None
-    numbers: bool = True
+    numbers: bool = True  # whether the values are numbers, or lists of numbers that are alike long
 
 
 @dataclass(frozen=True, slots=True)
 class RecordLayout:
-    """Where the fields lie in the records of one kind.
+    """Where the fields lie in the records of one kind."""
 
-    Parameters
-    ----------
-    dtype : np.dtype
-        Structured type of a record; padding has no field in it.
-    fields : tuple[LayoutField, ...]
-        The fields in their order.
-    """
-
-    dtype: np.dtype[np.void]
-    fields: tuple[LayoutField, ...]
+    dtype: np.dtype[np.void]  # structured type of a record; padding has no field in it
+    fields: tuple[LayoutField, ...]  # the fields in their order
 
     @property
     def numbers(self) -> bool:
@@ -118,23 +87,12 @@ class RecordLayout:
 
 @dataclass(eq=False, slots=True)
 class RecordKind:
-    """One kind of record of a log.
+    """One kind of record of a log."""
 
-    Parameters
-    ----------
-    name : str
-        Name of its messages.
-    layout : RecordLayout
-        Where the fields lie.
-    wanted : bool
-        Whether anybody wants them.
-    instance : str | None
-        Field that tells instances apart: messages of the second are ``name/1``; None where there is one only.
-    """
-
-    name: str
-    layout: RecordLayout
-    wanted: bool = True
+    name: str  # name of its messages
+    layout: RecordLayout  # where the fields lie
+    wanted: bool = True  # whether anybody wants them
+    # field that tells instances apart: messages of the second are ``name/1``; None where there is one only
     instance: str | None = None
 
     def named(self, columns: Mapping[str, FieldValues]) -> list[tuple[str, NDArray[np.int64] | slice]]:
@@ -162,18 +120,10 @@ _LONGEST_NS = 30 * 86_400 * 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class LogStart:
-    """Where a log's clock begins, and what is not stamped by it.
+    """Where a log's clock begins, and what is not stamped by it."""
 
-    Parameters
-    ----------
-    time_ns : int
-        Time since boot of the begin of the log.
-    foreign : frozenset[str]
-        Names of records with stamps of another clock: GPS time of week, Unix time.
-    """
-
-    time_ns: int = 0
-    foreign: frozenset[str] = frozenset()
+    time_ns: int = 0  # time since boot of the begin of the log
+    foreign: frozenset[str] = frozenset()  # names of records with stamps of another clock: GPS time of week, Unix time
 
 
 class LogClock:
@@ -298,35 +248,15 @@ class StartScan(LogClock):
 
 @dataclass(slots=True)
 class Records:
-    """Consecutive records of a log, in their order, until they become a batch.
+    """Consecutive records of a log, in their order, until they become a batch."""
 
-    Parameters
-    ----------
-    source : Source
-        Of the messages.
-    clock : LogClock
-        What gives them their times.
-    only : Collection[str] | None
-        Names of the messages wanted; None wants all.
-
-    Attributes
-    ----------
-    data : bytes
-        What the places refer to.
-    start : list[int]
-        Where in it the fields of each record begin.
-    kind : list[RecordKind | None]
-        Its kind; None where it was decoded by itself.
-    decoded : dict[int, tuple[str, dict]]
-        Names and fields of those, by their index.
-    """
-
-    source: Source
-    clock: LogClock
-    only: Collection[str] | None
-    data: bytes = b""
-    start: list[int] = field(default_factory=list)
-    kind: list[RecordKind | None] = field(default_factory=list)
+    source: Source  # of the messages
+    clock: LogClock  # what gives them their times
+    only: Collection[str] | None  # names of the messages wanted; None wants all
+    data: bytes = b""  # what the places refer to
+    start: list[int] = field(default_factory=list)  # where in it the fields of each record begin
+    kind: list[RecordKind | None] = field(default_factory=list)  # its kind; None where it was decoded by itself
+    # names and fields of those, by their index
     decoded: dict[int, tuple[str, dict[str, Any]]] = field(default_factory=dict)
 
     def add(self, start: int, kind: RecordKind) -> None:

@@ -24,27 +24,13 @@ READ_AHEAD_BYTES = 1 << 20
 
 @dataclass(slots=True)
 class TlogStatistics:
-    """What was found in a telemetry log.
+    """What was found in a telemetry log."""
 
-    Parameters
-    ----------
-    packets : int
-        Packets, wanted or not.
-    unknown : int
-        Those among them whose message is not in the dialect.
-    damaged : int
-        Places where the log was damaged.
-    skipped_bytes : int
-        Bytes that belong to no intact packet.
-    broken_off : bool
-        Whether the log ends within a packet, or its compressed data early.
-    """
-
-    packets: int = 0
-    unknown: int = 0
-    damaged: int = 0
-    skipped_bytes: int = 0
-    broken_off: bool = False
+    packets: int = 0  # packets, wanted or not
+    unknown: int = 0  # those among them whose message is not in the dialect
+    damaged: int = 0  # places where the log was damaged
+    skipped_bytes: int = 0  # bytes that belong to no intact packet
+    broken_off: bool = False  # whether the log ends within a packet, or its compressed data early
 
 
 class TlogReader:

@@ -51,18 +51,10 @@ class UlogField:
 
 @dataclass(frozen=True, slots=True)
 class UlogType:
-    """Where the fields of one topic lie.
+    """Where the fields of one topic lie."""
 
-    Parameters
-    ----------
-    layout : RecordLayout
-        Of a record without the padding at its end, which the logger may leave out.
-    size : int
-        Bytes of a record with it.
-    """
-
-    layout: RecordLayout
-    size: int
+    layout: RecordLayout  # of a record without the padding at its end, which the logger may leave out
+    size: int  # bytes of a record with it
 
 
 def parse_format(definition: bytes) -> tuple[str, tuple[UlogField, ...]]:

@@ -28,42 +28,22 @@ _SECRET = "SETUP_SIGNING"  # noqa: S105 - the name of a message
 
 @dataclass(frozen=True, slots=True)
 class MavlinkLinkStatistics:
-    """What came over a link so far.
+    """What came over a link so far."""
 
-    Parameters
-    ----------
-    messages : int
-        Messages received, refused ones not among them.
-    lost : int
-        Packets missing by the sequence numbers of each system and component. A router that passes on only some of
-        the messages makes the others count as lost; a gap of more than 127 packets counts as none, nor what a ground
-        station sent elsewhere.
-    lost_by_system : Mapping[int, int]
-        The same of each system that lost any.
-    unknown : int
-        Packets of messages that are not in the dialect.
-    bad_checksums : int
-        Packets with a wrong checksum, as far as damage left where they begin.
-    damaged, skipped_bytes : int
-        Places with bytes that belong to no intact packet, and those bytes.
-    connections : int
-        How often a connection was made.
-    overruns : int
-        UDP datagrams dropped because they were not read in time, by the kernel or, of senders that flood, by the link.
-    signing : SigningStatistics
-        Packets refused for their signature; all zero without a key.
-    """
-
-    messages: int
+    messages: int  # messages received, refused ones not among them
+    # Packets missing by the sequence numbers of each system and component. A router that passes on only some of the
+    # messages makes the others count as lost; a gap of more than 127 packets counts as none, nor what a ground station
+    # sent elsewhere.
     lost: int
-    lost_by_system: Mapping[int, int]
-    unknown: int
-    bad_checksums: int
-    damaged: int
+    lost_by_system: Mapping[int, int]  # the same of each system that lost any
+    unknown: int  # packets of messages that are not in the dialect
+    bad_checksums: int  # packets with a wrong checksum, as far as damage left where they begin
+    damaged: int  # places with bytes that belong to no intact packet, and those bytes
     skipped_bytes: int
-    connections: int
+    connections: int  # how often a connection was made
+    # UDP datagrams dropped because they were not read in time, by the kernel or, of senders that flood, by the link
     overruns: int
-    signing: SigningStatistics
+    signing: SigningStatistics  # packets refused for their signature; all zero without a key
 
 
 class MavlinkLink:

@@ -51,22 +51,13 @@ _SWING, _SWING_RATE = 0.5, 0.5
 
 @dataclass(frozen=True, slots=True)
 class ArmFault:
-    """A fault on one channel during [start_s, stop_s).
+    """A fault on one channel during [start_s, stop_s)."""
 
-    Parameters
-    ----------
-    channel : {"f_a", "f_s"}
-        Actuator fault (added to the torque) or sensor fault (added to the motor angle's reading).
-    start_s, stop_s : float
-        When it acts, seconds of simulated time.
-    signal : Callable[[float], float]
-        Its course over simulated time.
-    """
-
+    # actuator fault (added to the torque) or sensor fault (added to the motor angle's reading)
     channel: ArmFaultChannel
-    start_s: float
+    start_s: float  # when it acts, seconds of simulated time
     stop_s: float
-    signal: ArmSignal
+    signal: ArmSignal  # its course over simulated time
 
     def at(self, time_s: float) -> float:
         """Return the fault's size at a time."""
@@ -83,23 +74,13 @@ class ArmScenario:
 
 @dataclass(frozen=True, slots=True)
 class ArmRun:
-    """A simulated run, one row per sample.
+    """A simulated run, one row per sample."""
 
-    Parameters
-    ----------
-    t : NDArray[np.float64]
-        Times k / rate (N,), seconds.
-    u, y, x : NDArray[np.float64]
-        Torque (N, 1), outputs (N, 3), states (N, 4).
-    f_a, f_s : NDArray[np.float64]
-        True faults (N, 1); at a jump the value after it.
-    """
-
-    t: NDArray[np.float64]
-    u: NDArray[np.float64]
+    t: NDArray[np.float64]  # times k / rate (N,), seconds
+    u: NDArray[np.float64]  # torque (N, 1), outputs (N, 3), states (N, 4)
     y: NDArray[np.float64]
     x: NDArray[np.float64]
-    f_a: NDArray[np.float64]
+    f_a: NDArray[np.float64]  # True faults (N, 1); at a jump the value after it
     f_s: NDArray[np.float64]
 
 

@@ -37,33 +37,15 @@ _MAX_LOGGED = 1000
 
 @dataclass(frozen=True, slots=True)
 class ZenohLinkStatistics:
-    """What came over a link so far.
+    """What came over a link so far."""
 
-    Parameters
-    ----------
-    messages : int
-        Messages received.
-    dropped : int
-        Samples dropped because the queue was full.
-    oversized : int
-        Samples of more than :data:`MAX_PAYLOAD_BYTES`.
-    malformed : int
-        Samples that are no JSON object, or not CDR of their type.
-    undefined : int
-        Samples in CDR whose type is not known, or has no definition.
-    connected : int
-        Other Zenoh nodes (routers, peers) that the session is connected to now.
-    reconnections : int
-        How often the session found a node after it had lost all.
-    """
-
-    messages: int
-    dropped: int
-    oversized: int
-    malformed: int
-    undefined: int = 0
-    connected: int = 0
-    reconnections: int = 0
+    messages: int  # messages received
+    dropped: int  # samples dropped because the queue was full
+    oversized: int  # samples of more than :data:`MAX_PAYLOAD_BYTES`
+    malformed: int  # samples that are no JSON object, or not CDR of their type
+    undefined: int = 0  # samples in CDR whose type is not known, or has no definition
+    connected: int = 0  # other Zenoh nodes (routers, peers) that the session is connected to now
+    reconnections: int = 0  # how often the session found a node after it had lost all
 
 
 class ZenohLink:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
+import textwrap
 from collections.abc import Iterable, Sequence
+from typing import Literal, get_args, get_origin, get_type_hints
 
 _ROLE = re.compile(r":\w+:`~?([^`]+)`")
 _WHERE_IN_CODE = re.compile(r" \(:mod:`[^`]+`\)")
@@ -43,11 +46,14 @@ def prose(text: str) -> str:
 
 
 def parameters_of(described: type) -> dict[str, tuple[str, str]]:
-    """Return type and description of each parameter that a class's NumPy docstring documents, by name."""
+    """Return type and description of each parameter that a class's NumPy docstring documents, by name.
+
+    Where it documents none, they are in the comments at the fields.
+    """
     doc = inspect.cleandoc(described.__doc__ or "")
     section = re.search(r"^Parameters\n-+\n(.*?)(?=^\w+\n-+\n|\Z)", doc, re.MULTILINE | re.DOTALL)
     if section is None:
-        return {}
+        return _commented_fields(described)
     found = {}
     headers = list(_HEADER.finditer(section[1]))
     for header, following in zip(headers, [*headers[1:], None], strict=True):
@@ -55,6 +61,37 @@ def parameters_of(described: type) -> dict[str, tuple[str, str]]:
         for name in header[1].split(", "):
             found[name] = (header[2], prose(re.sub(r"\bNone\b", "no value", words)))
     return found
+
+
+def _commented_fields(described: type) -> dict[str, tuple[str, str]]:
+    """Return type and description of a data class's fields from the comments beside or above them.
+
+    A field without a comment is described together with the one before.
+    """
+    found: dict[str, tuple[str, str]] = {}
+    for base in reversed(described.__mro__[:-1]):
+        source = textwrap.dedent(inspect.getsource(base))
+        lines, hints, words = source.splitlines(), get_type_hints(base), ""
+        for field in ast.walk(ast.parse(source)):
+            if not isinstance(field, ast.AnnAssign) or not isinstance(field.target, ast.Name):
+                continue
+            above = field.lineno - 1
+            while lines[above - 1].lstrip().startswith("#"):
+                above -= 1
+            beside = lines[(field.end_lineno or field.lineno) - 1].partition("  # ")[2]
+            comments = lines[above : field.lineno - 1] or [beside]
+            text = " ".join(comment.strip().removeprefix("# ") for comment in comments)
+            if text:
+                text = prose(re.sub(r"\bNone\b", "no value", text))
+                words = text[0].upper() + text[1:].rstrip(".") + "."
+            found[field.target.id] = (_type_text(hints[field.target.id], ast.unparse(field.annotation)), words)
+    return found
+
+
+def _type_text(hint: object, annotation: str) -> str:
+    """Return a field's type as it is written, the choices of one that is one of several texts."""
+    literal = next((one for one in (hint, *get_args(hint)) if get_origin(one) is Literal), None)
+    return annotation if literal is None else "{" + ", ".join(f'"{choice}"' for choice in get_args(literal)) + "}"
 
 
 def _plain(text: str) -> str:

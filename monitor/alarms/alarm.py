@@ -136,66 +136,41 @@ _STATES: Mapping[int, State] = {RAISED: "raised", UPDATED: "updated", CLEARED: "
 
 @dataclass(frozen=True, slots=True)
 class AlarmRule:
-    """What makes one channel's alarm.
+    """What makes one channel's alarm."""
 
-    Parameters
-    ----------
-    observer, channel : str
-        What it watches.
-    kind : {"actuator", "sensor", "residual", "stale"}
-        Sort of trouble.
-    unit : str
-        Unit of the sizes.
-    threshold, clear, critical : float
-        Size of the evidence that raises the alarm, that clears it, and that makes it critical.
-    raise_s, clear_s : float
-        How long the evidence has to be beyond ``threshold`` to raise it, and inside ``clear`` to clear it, seconds.
-    fast, fast_s : float
-        Size that raises it after a shorter time; infinite size: no such path.
-    slow, slow_s : float
-        Size of the mean that raises it, and the mean's time constant; infinite size: no such path.
-    latch_s : float
-        Quiet that an alarm which comes and goes needs before it clears; 0: never latched.
-    critical_ahead_s : float
-        How far ahead its growth is looked at, for severity and where it grows from the start, seconds; 0: not at all.
-    nats, least : float
-        Log-likelihood ratio of a sudden change that raises it at once, and the smallest size it has to have; infinite
-        nats: no such path.
-    healthy : float
-        Size that evidence reaches in healthy flight, as rarely as false alarms are granted: where the residuals of a
-        run are larger than those of the flights that were fitted, what is asked of it grows with this size
-        (:mod:`monitor.estimation.bank`); 0: not at all.
-    false_per_100h, excluded_per_100h : float or None
-        False alarms that are expected in 100 hours, and how many more the fitted flights exclude, at 95 %; None where
-        that was not measured.
-    sees : str
-        What size of fault it sees how fast, for people; empty where that was not measured.
-    """
-
-    observer: str
+    observer: str  # what it watches
     channel: str
-    kind: Kind
-    unit: str
-    threshold: float
+    kind: Kind  # sort of trouble
+    unit: str  # unit of the sizes
+    threshold: float  # size of the evidence that raises the alarm, that clears it, and that makes it critical
     clear: float
     critical: float
+    # how long the evidence has to be beyond ``threshold`` to raise it, and inside ``clear`` to clear it, seconds
     raise_s: float
     clear_s: float
-    fast: float = math.inf
+    fast: float = math.inf  # size that raises it after a shorter time; infinite size: no such path
     fast_s: float = 0.05
     """Five samples at 100 Hz: more than a glitch of two or three lost or damaged ones."""
-    slow: float = math.inf
+    slow: float = math.inf  # size of the mean that raises it, and the mean's time constant; infinite size: no such path
     slow_s: float = 2.0
     """Longer than a gust or a manoeuvre moves an estimate, shorter than a pilot would wait (docs/thresholds.md)."""
-    latch_s: float = 0.0
+    latch_s: float = 0.0  # quiet that an alarm which comes and goes needs before it clears; 0: never latched
+    # how far ahead its growth is looked at, for severity and where it grows from the start, seconds; 0: not at all
     critical_ahead_s: float = 5.0
     """Time that a pilot needs to land or to let go: chosen."""
+    # Log-likelihood ratio of a sudden change that raises it at once, and the smallest size it has to have; infinite
+    # nats: no such path
     nats: float = math.inf
     least: float = 0.0
+    # size that evidence reaches in healthy flight, as rarely as false alarms are granted: where the residuals of a run
+    # are larger than those of the flights that were fitted, what is asked of it grows with this size
+    # (:mod:`monitor.estimation.bank`); 0: not at all
     healthy: float = 0.0
+    # false alarms that are expected in 100 hours, and how many more the fitted flights exclude, at 95 %; None where
+    # that was not measured
     false_per_100h: float | None = None
     excluded_per_100h: float | None = None
-    sees: str = ""
+    sees: str = ""  # what size of fault it sees how fast, for people; empty where that was not measured
 
 
 TUNABLE = tuple(key.name for key in fields(AlarmRule) if key.type == "float")

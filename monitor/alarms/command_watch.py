@@ -69,21 +69,11 @@ def commanded_systems(entry: Message | Columns) -> set[int]:
 
 @dataclass(frozen=True, slots=True)
 class CommandFinding:
-    """What a command in flight shows.
+    """What a command in flight shows."""
 
-    Parameters
-    ----------
-    kind : {"sender", "flood"}
-        A risky command of a new sender, or too many commands.
-    weight : {"information", "warning", "critical"}
-        Information alone is no alarm.
-    text : str
-        What happened, without a full stop.
-    """
-
-    kind: Literal["sender", "flood"]
-    weight: Literal["information", "warning", "critical"]
-    text: str
+    kind: Literal["sender", "flood"]  # a risky command of a new sender, or too many commands
+    weight: Literal["information", "warning", "critical"]  # information alone is no alarm
+    text: str  # what happened, without a full stop
 
 
 class CommandWatch:

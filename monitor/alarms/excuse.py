@@ -25,24 +25,13 @@ Affect = Callable[[str, int, int], AlarmEvent | None]
 
 @dataclass(frozen=True, slots=True)
 class ExcuseRule:
-    """While one of these alarms is active, and for some time after, evidence on those channels is explained by it.
+    """While one of these alarms is active, and for some time after, evidence on those channels is explained by it."""
 
-    Parameters
-    ----------
-    channels : tuple[str, ...]
-        Channels that are excused.
-    by : tuple[str, ...]
-        Channels whose alarms excuse them.
-    for_s : float
-        How long after such an alarm has cleared, seconds.
-    same_cause : bool
-        Whether those alarms name the same cause more exactly: raised while one of the channels has an active alarm,
-        they say more of that one and are none of their own (:mod:`monitor.alarms.desk`).
-    """
-
-    channels: tuple[str, ...]
-    by: tuple[str, ...]
-    for_s: float
+    channels: tuple[str, ...]  # channels that are excused
+    by: tuple[str, ...]  # channels whose alarms excuse them
+    for_s: float  # how long after such an alarm has cleared, seconds
+    # whether those alarms name the same cause more exactly: raised while one of the channels has an active alarm, they
+    # say more of that one and are none of their own (:mod:`monitor.alarms.desk`)
     same_cause: bool = False
 
 

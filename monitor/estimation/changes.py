@@ -62,23 +62,12 @@ both."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangeRule:
-    """What healthy flights say about the innovations of an observer.
+    """What healthy flights say about the innovations of an observer."""
 
-    Parameters
-    ----------
-    outputs : tuple[str, ...]
-        The p outputs that are judged.
-    whitening : NDArray[np.float64]
-        Phi_1 ... Phi_P (P, p, p).
-    variance : NDArray[np.float64]
-        c_0, c_1 and c_2 of each (p, 3).
-    lasts_s : Mapping[str, float]
-        Faults that are named although they scale no input, and how long their measurements take for a jump, seconds.
-    """
-
-    outputs: tuple[str, ...]
-    whitening: NDArray[np.float64]
-    variance: NDArray[np.float64]
+    outputs: tuple[str, ...]  # the p outputs that are judged
+    whitening: NDArray[np.float64]  # Phi_1 ... Phi_P (P, p, p)
+    variance: NDArray[np.float64]  # c_0, c_1 and c_2 of each (p, 3)
+    # faults that are named although they scale no input, and how long their measurements take for a jump, seconds
     lasts_s: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -108,45 +108,23 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class EffectivenessRule:
-    """How one actuator's fault estimate is read.
+    """How one actuator's fault estimate is read."""
 
-    Parameters
-    ----------
-    noise : float
-        Standard deviation of f^ in healthy operation, in effect units.
-    inflation : float
-        Number of consecutive samples of that noise that count as one.
-    lag_s : float
-        Mean delay of f^ behind the fault, seconds.
-    loss_doubt, offset_doubt : float
-        Standard deviation of loss and offset that the healthy model's own errors cause.
-    certainty : float
-        Number of standard errors that healthy operation does not reach.
-    least_loss, least_offset : float
-        Smallest loss, as a share of the command, and smallest offset, as a fraction of full deflection, that matter.
-    memories_s : tuple[float, ...]
-        Time constants of forgetting, shortest first, seconds.
-    timing_s : float
-        How well the time between command and effect is known, seconds.
-    hold_s : float
-        How long an accusation is kept without the excitation that could confirm it, seconds; the shortest memory has
-        to fade first.
-    full : str | None
-        Input that is the effect of a full constant deflection; None: that effect is 1.
-    """
-
-    noise: float
-    inflation: float
-    lag_s: float
-    loss_doubt: float
+    noise: float  # standard deviation of f^ in healthy operation, in effect units
+    inflation: float  # number of consecutive samples of that noise that count as one
+    lag_s: float  # mean delay of f^ behind the fault, seconds
+    loss_doubt: float  # standard deviation of loss and offset that the healthy model's own errors cause
     offset_doubt: float
-    certainty: float
+    certainty: float  # number of standard errors that healthy operation does not reach
+    # smallest loss, as a share of the command, and smallest offset, as a fraction of full deflection, that matter
     least_loss: float = 0.08
     least_offset: float = 0.04
-    memories_s: tuple[float, ...] = (0.25, 1.0)
-    timing_s: float = 0.02
+    memories_s: tuple[float, ...] = (0.25, 1.0)  # time constants of forgetting, shortest first, seconds
+    timing_s: float = 0.02  # how well the time between command and effect is known, seconds
+    # how long an accusation is kept without the excitation that could confirm it, seconds; the shortest memory has to
+    # fade first
     hold_s: float = 3.0
-    full: str | None = None
+    full: str | None = None  # input that is the effect of a full constant deflection; None: that effect is 1
 
 
 class EffectivenessRun(NamedTuple):

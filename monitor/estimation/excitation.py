@@ -33,27 +33,15 @@ HOLD_S = 0.3
 
 @dataclass(frozen=True, slots=True)
 class ExcitationRule:
-    """Coefficients of s^2, and the outputs whose size counts.
+    """Coefficients of s^2, and the outputs whose size counts."""
 
-    Parameters
-    ----------
-    outputs : tuple[str, ...]
-        The outputs.
-    constant, output, command : float
-        c_0, c_1 (per squared output) and c_2 (per squared change of a command).
-    output_beyond, command_beyond : float
-        b_1 and b_2.
-    output_fitted, command_fitted : float
-        R and D, in the units of the outputs and the commands.
-    """
-
-    outputs: tuple[str, ...]
-    constant: float
+    outputs: tuple[str, ...]  # the outputs
+    constant: float  # c_0, c_1 (per squared output) and c_2 (per squared change of a command)
     output: float
     command: float
-    output_beyond: float
+    output_beyond: float  # b_1 and b_2
     command_beyond: float
-    output_fitted: float
+    output_fitted: float  # r and D, in the units of the outputs and the commands
     command_fitted: float
 
 

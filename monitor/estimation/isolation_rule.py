@@ -32,67 +32,40 @@ class IndependentRule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SingleRule:
-    """One channel is held responsible at a time: see :class:`monitor.core.bank.SingleFaultIsolation`.
+    """One channel is held responsible at a time: see :class:`monitor.core.bank.SingleFaultIsolation`."""
 
-    Parameters
-    ----------
-    smoothing_s : float
-        Time constant of the smoothing, seconds.
-    tolerance : float
-        Share of the first suspect's score sqrt(J) that model error may leave unexplained.
-    score_floor : float
-        Score that healthy flight does not reach: below it no channel is held responsible beside the first suspect.
-    gain_penalty : float
-        How much larger J must be to believe that a channel delivers more than commanded, rather than that another
-        one delivers less: motors fail towards less.
-    covariance : NDArray[np.float64]
-        Healthy covariance of the smoothed joint estimate (a, a), effect units.
-    """
-
-    smoothing_s: float
-    tolerance: float
+    smoothing_s: float  # time constant of the smoothing, seconds
+    tolerance: float  # share of the first suspect's score sqrt(J) that model error may leave unexplained
+    # score that healthy flight does not reach: below it no channel is held responsible beside the first suspect
     score_floor: float
+    # how much larger J must be to believe that a channel delivers more than commanded, rather than that another one
+    # delivers less: motors fail towards less
     gain_penalty: float
-    covariance: NDArray[np.float64]
+    covariance: NDArray[np.float64]  # healthy covariance of the smoothed joint estimate (a, a), effect units
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BankRule:
-    """One observer for each hypothesis; the one that explains the data names the faults: see ``bank``.
+    """One observer for each hypothesis; the one that explains the data names the faults: see ``bank``."""
 
-    Parameters
-    ----------
-    smoothing_s : float
-        Time constant of the smoothing of estimates and residuals, seconds.
-    tolerance, score_floor, gain_penalty : float
-        Share of the worst hypothesis' score that model error may leave on the right one, score sqrt(J) that healthy
-        flight does not reach, and how much larger J may be before an actuator is believed to deliver more than
-        commanded: see :mod:`monitor.estimation.bank`.
-    hypotheses : tuple[tuple[str, ...], ...]
-        The faults of each hypothesis.
-    covariances : tuple[NDArray[np.float64], ...]
-        Healthy covariance of the smoothed residual of each hypothesis (p, p).
-    edges : tuple[bool, ...]
-        Which hypotheses take no part in the comparison but watch for edges of the faults that no other has.
-    washouts : Mapping[str, float]
-        Time constant, seconds, with which the estimate of a fault is washed out and has to be given back.
-    jump_s : float
-        Time that an estimate takes for an edge, seconds.
-    usual_score, level_s : float
-        Root of the mean J of the hypothesis believed in healthy flight, 0 where the level of J is not followed, and the
-        time constant, seconds, with which it is.
-    """
-
-    smoothing_s: float
+    smoothing_s: float  # time constant of the smoothing of estimates and residuals, seconds
+    # share of the worst hypothesis' score that model error may leave on the right one, score sqrt(J) that healthy
+    # flight does not reach, and how much larger J may be before an actuator is believed to deliver more than commanded:
+    # see :mod:`monitor.estimation.bank`
     tolerance: float
     score_floor: float
     gain_penalty: float
-    hypotheses: tuple[tuple[str, ...], ...]
+    hypotheses: tuple[tuple[str, ...], ...]  # the faults of each hypothesis
+    # healthy covariance of the smoothed residual of each hypothesis (p, p)
     covariances: tuple[NDArray[np.float64], ...]
+    # which hypotheses take no part in the comparison but watch for edges of the faults that no other has
     edges: tuple[bool, ...]
+    # time constant, seconds, with which the estimate of a fault is washed out and has to be given back
     washouts: Mapping[str, float] = field(default_factory=dict)
-    jump_s: float = 0.03
+    jump_s: float = 0.03  # time that an estimate takes for an edge, seconds
     """Chosen: three samples at 100 Hz, as long as the mean of an edge's levels needs to follow."""
+    # root of the mean J of the hypothesis believed in healthy flight, 0 where the level of J is not followed, and the
+    # time constant, seconds, with which it is
     usual_score: float = 0.0
     level_s: float = LEVEL_S
 

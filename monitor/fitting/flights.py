@@ -23,18 +23,10 @@ from monitor.sampling.transform import SampleSource, Transform
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flight:
-    """Samples of one recording.
+    """Samples of one recording."""
 
-    Parameters
-    ----------
-    samples : Samples
-        The n samples.
-    armed : NDArray[np.bool_]
-        Whether each is evidence (n,).
-    """
-
-    samples: Samples
-    armed: NDArray[np.bool_]
+    samples: Samples  # the n samples
+    armed: NDArray[np.bool_]  # whether each is evidence (n,)
 
     def __len__(self) -> int:
         return len(self.armed)

@@ -31,21 +31,12 @@ that it has landed or is disarmed, or with the next message of them: one sample 
 
 @dataclass(frozen=True, slots=True)
 class GateRule:
-    """What has to hold for samples to count.
+    """What has to hold for samples to count."""
 
-    Parameters
-    ----------
-    require_armed, require_airborne : bool
-        Which of the rules apply.
-    settle_s : float
-        Wait after they come to hold, seconds.
-    airborne_command : float
-        Mean command above which a vehicle that does not report its landed state is taken to be in the air.
-    """
-
-    require_armed: bool = True
+    require_armed: bool = True  # which of the rules apply
     require_airborne: bool = True
-    settle_s: float = 1.0
+    settle_s: float = 1.0  # wait after they come to hold, seconds
+    # mean command above which a vehicle that does not report its landed state is taken to be in the air
     airborne_command: float = 0.0
 
 

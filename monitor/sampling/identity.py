@@ -42,24 +42,12 @@ _MOST_MOTORS = 32
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What is known of which vehicle it is; empty or 0 where nothing tells.
+    """What is known of which vehicle it is; empty or 0 where nothing tells."""
 
-    Parameters
-    ----------
-    vehicle_type : str
-        HEARTBEAT.type in words (``quadrotor``, ``fixed wing``).
-    autopilot : str
-        HEARTBEAT.autopilot in words (``ardupilotmega``, ``px4``).
-    frame : str
-        Class and shape of a copter's frame (``quad/x``), which tell where its motors are.
-    motors : int
-        Number of motors.
-    """
-
-    vehicle_type: str = ""
-    autopilot: str = ""
-    frame: str = ""
-    motors: int = 0
+    vehicle_type: str = ""  # HEARTBEAT.type in words (``quadrotor``, ``fixed wing``)
+    autopilot: str = ""  # HEARTBEAT.autopilot in words (``ardupilotmega``, ``px4``)
+    frame: str = ""  # class and shape of a copter's frame (``quad/x``), which tell where its motors are
+    motors: int = 0  # number of motors
 
     def difference(self, other: Identity) -> tuple[str, str] | None:
         """Return in words what each is, where something known of both differs; None where nothing does."""

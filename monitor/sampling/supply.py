@@ -29,18 +29,10 @@ known is sent as 65.5 V."""
 
 @dataclass(frozen=True, slots=True)
 class SupplyRule:
-    """How commands act with the battery's voltage.
+    """How commands act with the battery's voltage."""
 
-    Parameters
-    ----------
-    volts : float
-        Usual voltage.
-    share : float
-        How many per cent a command loses by a voltage that is lower by one.
-    """
-
-    volts: float
-    share: float
+    volts: float  # usual voltage
+    share: float  # how many per cent a command loses by a voltage that is lower by one
 
 
 class Supply:

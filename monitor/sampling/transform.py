@@ -42,21 +42,11 @@ class Transform(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TransformRule:
-    """A transform of a profile.
+    """A transform of a profile."""
 
-    Parameters
-    ----------
-    kind : str
-        Name of a transform of a kind of vehicle.
-    rate_hz : float
-        Samples of the raw signals per second.
-    parameters : Mapping[str, float]
-        What the kind asks for.
-    """
-
-    kind: str
-    rate_hz: float
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    kind: str  # name of a transform of a kind of vehicle
+    rate_hz: float  # samples of the raw signals per second
+    parameters: Mapping[str, float] = field(default_factory=dict)  # what the kind asks for
 
 
 @dataclass(frozen=True, slots=True)

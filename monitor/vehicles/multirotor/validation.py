@@ -30,19 +30,11 @@ _MATTERS = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """How the response to commands changes as a flight goes on, as with a battery that sags.
+    """How the response to commands changes as a flight goes on, as with a battery that sags."""
 
-    Parameters
-    ----------
-    per_minute, error : float
-        Relative change per minute in the air, and its standard error.
-    minutes : float
-        Longest flight.
-    """
-
-    per_minute: float
+    per_minute: float  # relative change per minute in the air, and its standard error
     error: float
-    minutes: float
+    minutes: float  # longest flight
 
     @property
     def matters(self) -> bool:
