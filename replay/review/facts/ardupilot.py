@@ -10,6 +10,7 @@ import numpy as np
 from adapters.mavlink.flight_modes import ARDUPILOT, mode_name
 from monitor.alarms.command_watch import CommandSent
 from replay.review.facts.log_facts import (
+    ANGLES,
     UNKNOWN_LEVEL,
     LogFacts,
     LogRecords,
@@ -17,10 +18,13 @@ from replay.review.facts.log_facts import (
     Statement,
     above_begin,
     changes,
+    each_sample,
     inside,
+    log_facts,
     off_ground,
     overlap,
     state_spans,
+    state_statements,
     way,
 )
 
@@ -64,7 +68,7 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     if not arming or not arming[0][1]:
         # a log that begins at arming
         arming = [(0.0, 1.0), *arming]
-    armed = state_spans([(at, bool(value)) for at, value in arming], end_s)
+    armed = state_spans(arming, end_s)
     landing = [(at, float(kind == _LANDED)) for at, kind in event if kind in (_LANDED, _IN_THE_AIR)]
     if landing and landing[0][1]:
         # a log that begins in the air
@@ -75,16 +79,15 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     lacks: dict[str, str] = {}
     signals["motors"] = _motors(records, armed) if vehicle in ("", "multirotor") else None
     signals["rpm"] = _rpm(records)
-    names = ("roll", "pitch", "yaw")
-    signals["attitude"] = get("ATT", ["Roll", "Pitch", "Yaw"], names, "deg")
-    signals["attitude_wanted"] = get("ATT", ["DesRoll", "DesPitch", "DesYaw"], names, "deg")
+    signals["attitude"] = get("ATT", ["Roll", "Pitch", "Yaw"], ANGLES, "deg")
+    signals["attitude_wanted"] = get("ATT", ["DesRoll", "DesPitch", "DesYaw"], ANGLES, "deg")
     signals["height"] = above_begin(get("BARO", ["Alt"], ["barometer"], "m"))
     kalman = "XKF" if ("XKF4", 0) in set(records.names()) else "NKF"
     signals["height_estimate"] = above_begin(get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0))
     # planes do not log when they take off
     received = above_begin(get("GPS", ["Alt"], ["receiver"], "m"))
     lifted = off_ground(signals["height"], received)
-    air = state_spans([(at, not value) for at, value in landing], end_s) if landing else lifted
+    air = state_spans(landing, end_s, state=False) if landing else lifted
     flight = overlap(air, armed)
     signals["climb"] = get(f"{kalman}1", ["VD"], ["climb"], "m/s", -1.0)
     signals["climb_wanted"] = get("PSCD", ["TVD"], ["wanted"], "m/s", -1.0)
@@ -106,25 +109,11 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     signals["position"] = way(get("GPS", ["Lat", "Lng", "Status"], ["north", "east", "fix"], ""))
     signals["ratios"] = get(f"{kalman}4", ["SV", "SP", "SH"], ["velocity", "position", "height"], "")
     vibration = get("VIBE", ["VibeX", "VibeY", "VibeZ"], ["x", "y", "z"], "m/s2")
-    if vibration is not None:
-        signals["vibration"] = replace(
-            vibration, values=vibration.values.max(axis=1, keepdims=True), names=("vibration",)
-        )
+    signals["vibration"] = each_sample(vibration, "vibration", np.max)
     signals["clipping"] = get("VIBE", ["Clip"], ["clipped"], "samples")
-    statements = [*_statements(records, texts, kind, event, arming), *_landings(landing)]
-    return LogFacts(
-        autopilot="ArduPilot",
-        vehicle=vehicle,
-        start_ns=records.first_ns,
-        duration_s=records.duration_s,
-        armed=tuple(armed),
-        flight=tuple(flight),
-        signals={name: signal for name, signal in signals.items() if signal is not None and len(signal.time_s)},
-        statements=tuple(sorted(statements, key=lambda statement: statement.time_s)),
-        commands=tuple(_commands(records)),
-        parameters=records.parameters,
-        lacks=lacks,
-    )
+    statements = [*_statements(records, texts, kind), *state_statements(arming, landing)]
+    commands = _commands(records)
+    return log_facts(records, "ArduPilot", vehicle, armed, flight, signals, statements, commands, lacks)
 
 
 def _motors(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSignal | None:
@@ -160,22 +149,9 @@ def _rpm(records: LogRecords) -> LogSignal | None:
     return LogSignal(times, values, tuple(f"motor{k + 1}" for k, _ in known), "rpm", "ESC")
 
 
-def _landings(landing: Sequence[tuple[float, float]]) -> Iterator[Statement]:
-    for at, value in landing:
-        yield Statement(at, "landing", "landed" if value else "in the air", int(value))
-
-
-def _statements(
-    records: LogRecords,
-    texts: Sequence[tuple[float, str]],
-    kind: int,
-    event: Sequence[tuple[float, int]],
-    arming: Sequence[tuple[float, float]],
-) -> Iterator[Statement]:
+def _statements(records: LogRecords, texts: Sequence[tuple[float, str]], kind: int) -> Iterator[Statement]:
     for at, text in texts:
         yield Statement(at, "text", text, UNKNOWN_LEVEL)
-    for at, value in arming:
-        yield Statement(at, "arming", "armed" if value else "disarmed", int(value))
     for at, value in changes(records.signal("MODE", ["ModeNum"], ["mode"], "")):
         yield Statement(at, "mode", f"mode {mode_name(ARDUPILOT, kind, 0, int(value)) or int(value)}")
     errors = records.signal("ERR", ["Subsys", "ECode"], ["subsystem", "code"], "")

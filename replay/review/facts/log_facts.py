@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -15,6 +15,9 @@ from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
 from monitor.alarms.command_watch import COMMANDS, CommandSent
 
 Floats = NDArray[np.float64]
+Changes = Sequence[tuple[float, float]]
+"""When a value changed, and to what."""
+ANGLES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,8 +46,8 @@ class LogSignal:
 
     def during(self, start_s: float, end_s: float) -> LogSignal:
         """Return the part from a time on and before another."""
-        first, last = np.searchsorted(self.time_s, (start_s, end_s))
-        return LogSignal(self.time_s[first:last], self.values[first:last], self.names, self.unit, self.origin)
+        part = slice(*np.searchsorted(self.time_s, (start_s, end_s)))
+        return replace(self, time_s=self.time_s[part], values=self.values[part])
 
     def at(self, times_s: Floats) -> Floats:
         """Return the values last known at m times (m, k), NaN ahead of the first."""
@@ -316,19 +319,57 @@ def _column(fields: Mapping[str, NDArray[Any]], place: str) -> Floats | None:
     return None if values.ndim > 1 or values.dtype.kind not in "iufb" else values.astype(np.float64)
 
 
-def changes(signal: LogSignal | None) -> list[tuple[float, float]]:
-    """Return when the first column changed and to what, its first value among them."""
+def log_facts(
+    records: LogRecords,
+    autopilot: str,
+    vehicle: str,
+    armed: Sequence[tuple[float, float]],
+    flight: Sequence[tuple[float, float]],
+    signals: Mapping[str, LogSignal | None],
+    statements: Iterable[Statement],
+    commands: Iterable[CommandSent],
+    lacks: Mapping[str, str],
+) -> LogFacts:
+    """Return what a log states: signals that hold something, statements and commands in order."""
+    return LogFacts(
+        autopilot,
+        vehicle,
+        records.first_ns,
+        records.duration_s,
+        tuple(armed),
+        tuple(flight),
+        {name: signal for name, signal in signals.items() if signal is not None and len(signal.time_s)},
+        tuple(sorted(statements, key=lambda statement: statement.time_s)),
+        tuple(sorted(commands, key=lambda command: command.time_s)),
+        records.parameters,
+        lacks,
+    )
+
+
+def state_statements(arming: Changes, landing: Changes) -> Iterator[Statement]:
+    """Yield what a log states of arming and landing, of when either changed."""
+    for kind, entries, words in (
+        ("arming", arming, ("disarmed", "armed")),
+        ("landing", landing, ("in the air", "landed")),
+    ):
+        for at, value in entries:
+            yield Statement(at, kind, words[bool(value)], int(value))
+
+
+def changes(signal: LogSignal | None, of: Callable[[Floats], NDArray[Any]] = np.asarray) -> list[tuple[float, float]]:
+    """Return when what a function says of the first column changed and to what, its first value among them."""
     if signal is None:
         return []
-    values = signal.only
+    values = of(signal.only)
     new = np.concatenate([[True], values[1:] != values[:-1]])[: len(values)]
     return [(float(signal.time_s[row]), float(values[row])) for row in np.flatnonzero(new)]
 
 
-def state_spans(edges: Sequence[tuple[float, bool]], end_s: float) -> list[tuple[float, float]]:
+def state_spans(edges: Changes, end_s: float, state: bool = True) -> list[tuple[float, float]]:
     """Return from when to when a state held, of when it changed and to what, until the log's end."""
     spans: list[tuple[float, float]] = []
-    for (time_s, holds), (next_s, _) in pairwise([*edges, (end_s, False)]):
+    for (time_s, value), (next_s, _) in pairwise([*edges, (end_s, not state)]):
+        holds = bool(value) is state
         if holds and spans and spans[-1][1] == time_s:
             spans[-1] = spans[-1][0], next_s
         elif holds:
@@ -342,13 +383,21 @@ def overlap(first: Iterable[tuple[float, float]], second: Sequence[tuple[float, 
     return [(start, end) for start, end in parts if start < end]
 
 
-def angles_deg(quaternion: LogSignal, names: Sequence[str], origin: str) -> LogSignal:
+def angles_deg(quaternion: LogSignal | None) -> LogSignal | None:
     """Return roll, pitch and yaw of quaternions (w, x, y, z), degrees."""
+    if quaternion is None:
+        return None
     w, x, y, z = quaternion.values.T
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return LogSignal(quaternion.time_s, np.degrees(np.stack([roll, pitch, yaw], axis=1)), tuple(names), "deg", origin)
+    angles = np.degrees(np.stack([roll, pitch, yaw], axis=1))
+    return replace(quaternion, values=angles, names=ANGLES, unit="deg")
+
+
+def each_sample(signal: LogSignal | None, name: str, of: Callable[..., Floats]) -> LogSignal | None:
+    """Return one column of several: of each sample what ``of`` (``np.max``, ``np.sum``) says."""
+    return None if signal is None else replace(signal, values=of(signal.values, axis=1, keepdims=True), names=(name,))
 
 
 def above_begin(signal: LogSignal | None) -> LogSignal | None:
@@ -356,9 +405,7 @@ def above_begin(signal: LogSignal | None) -> LogSignal | None:
     if signal is None or not len(signal.time_s):
         return None
     begin = signal.values[signal.time_s < signal.time_s[0] + _BEGIN_S]
-    return LogSignal(
-        signal.time_s, signal.values - np.nanmedian(begin, axis=0), signal.names, signal.unit, signal.origin
-    )
+    return replace(signal, values=signal.values - np.nanmedian(begin, axis=0))
 
 
 def way(place: LogSignal | None) -> LogSignal | None:
@@ -375,7 +422,7 @@ def way(place: LogSignal | None) -> LogSignal | None:
     # across the date line the short way
     off[:, 1] = (off[:, 1] + 180.0) % 360.0 - 180.0
     metres = _DEGREE_M * off * [1.0, np.cos(np.radians(degrees[0, 0]))]
-    return LogSignal(place.time_s[known], metres, ("north", "east"), "m", place.origin)
+    return replace(place, time_s=place.time_s[known], values=metres, names=("north", "east"), unit="m")
 
 
 _FEWEST_ROTORS = 3

@@ -10,6 +10,7 @@ import numpy as np
 from adapters.mavlink.flight_modes import ARDUPILOT, PX4, mode_name
 from monitor.alarms.command_watch import COMMANDS, CommandSent, command_sent
 from replay.review.facts.log_facts import (
+    ANGLES,
     LogFacts,
     LogRecords,
     LogSignal,
@@ -17,9 +18,12 @@ from replay.review.facts.log_facts import (
     above_begin,
     angles_deg,
     changes,
+    each_sample,
+    log_facts,
     off_ground,
     overlap,
     state_spans,
+    state_statements,
     way,
 )
 
@@ -56,11 +60,8 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
     if modes is not None:
         own = modes.values[:, 2] != _NO_AUTOPILOT
         modes = LogSignal(modes.time_s[own], modes.values[own], modes.names, "", "HEARTBEAT")
-    arming: list[tuple[float, float]] = []
-    if modes is not None:
-        bits = (modes.values[:, 0].astype(int) & _ARMED > 0).astype(float)
-        arming = changes(replace(modes, values=bits[:, None]))
-    armed = state_spans([(at, bool(value)) for at, value in arming], end_s)
+    arming = changes(modes, lambda base: base.astype(int) & _ARMED > 0)
+    armed = state_spans(arming, end_s)
     signals: dict[str, LogSignal | None] = {}
     lacks: dict[str, str] = {}
     pressure = get("SCALED_PRESSURE", ["press_abs"], ["barometer"], "m", -_HECTOPASCAL_M)
@@ -70,9 +71,8 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
     landed = get("EXTENDED_SYS_STATE", ["landed_state"], ["landed"], "")
     landing: list[tuple[float, float]] = []
     if landed is not None and (landed.only > 0).any():
-        on_ground = (landed.only == _ON_GROUND).astype(float)
-        landing = changes(replace(landed, values=on_ground[:, None]))
-        air = state_spans([(at, not value) for at, value in landing], end_s)
+        landing = changes(landed, lambda state: state == _ON_GROUND)
+        air = state_spans(landing, end_s, state=False)
     else:
         air = off_ground(records.first(signals["height_estimate"], signals["height"]))
     flight = overlap(air, armed)
@@ -82,10 +82,9 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         motors = get("SERVO_OUTPUT_RAW", outputs, [f"motor{k}" for k in range(1, rotors + 1)], "of full")
         if motors is not None:
             signals["motors"] = replace(motors, values=np.maximum(motors.values - _PWM_FROM, 0.0) / _PWM_SPAN)
-    angles = ("roll", "pitch", "yaw")
-    signals["attitude"] = get("ATTITUDE", angles, angles, "deg", float(np.degrees(1.0)))
+    signals["attitude"] = get("ATTITUDE", ANGLES, ANGLES, "deg", float(np.degrees(1.0)))
     turned = get("ATTITUDE_TARGET", [f"q[{k}]" for k in range(4)], [f"q{k}" for k in range(4)], "")
-    signals["attitude_wanted"] = None if turned is None else angles_deg(turned, angles, "ATTITUDE_TARGET")
+    signals["attitude_wanted"] = angles_deg(turned)
     battery = get("SYS_STATUS", ["voltage_battery", "current_battery"], ["voltage", "current"], "V, A")
     if battery is not None:
         volts = battery.values * [_MILLI, 10 * _MILLI]
@@ -103,29 +102,14 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         get("EKF_STATUS_REPORT", variances, names, ""), get("ESTIMATOR_STATUS", ratios, names, "")
     )
     vibration = get("VIBRATION", [f"vibration_{axis}" for axis in "xyz"], list("xyz"), "m/s2")
-    if vibration is not None and autopilot == ARDUPILOT:
-        signals["vibration"] = replace(
-            vibration, values=vibration.values.max(axis=1, keepdims=True), names=("vibration",)
-        )
+    if autopilot == ARDUPILOT:
+        signals["vibration"] = each_sample(vibration, "vibration", np.max)
     signals["clipping"] = get("VIBRATION", ["clipping_0"], ["clipped"], "samples")
-    return LogFacts(
-        autopilot=_AUTOPILOTS.get(autopilot, ""),
-        vehicle="multirotor" if rotors else _KINDS.get(kind, ""),
-        start_ns=records.first_ns,
-        duration_s=records.duration_s,
-        armed=tuple(armed),
-        flight=tuple(flight),
-        signals={name: signal for name, signal in signals.items() if signal is not None and len(signal.time_s)},
-        statements=tuple(
-            sorted(
-                _statements(records, system, kind, autopilot, arming, landing, modes),
-                key=lambda statement: statement.time_s,
-            )
-        ),
-        commands=tuple(sorted(_commands(records, system), key=lambda command: command.time_s)),
-        parameters=records.parameters,
-        lacks=lacks,
-    )
+    vehicle = "multirotor" if rotors else _KINDS.get(kind, "")
+    statements = [*_statements(records, system, kind, autopilot, modes), *state_statements(arming, landing)]
+    commands = _commands(records, system)
+    name = _AUTOPILOTS.get(autopilot, "")
+    return log_facts(records, name, vehicle, armed, flight, signals, statements, commands, lacks)
 
 
 def _vehicle(records: LogRecords) -> tuple[int, int, int]:
@@ -143,20 +127,10 @@ def _vehicle(records: LogRecords) -> tuple[int, int, int]:
 
 
 def _statements(
-    records: LogRecords,
-    system: int,
-    kind: int,
-    autopilot: int,
-    arming: Sequence[tuple[float, float]],
-    landing: Sequence[tuple[float, float]],
-    modes: LogSignal | None,
+    records: LogRecords, system: int, kind: int, autopilot: int, modes: LogSignal | None
 ) -> Iterator[Statement]:
     for at, row in records.listed("STATUSTEXT", system):
         yield Statement(at, "text", str(row.get("text", "")), int(row.get("severity", 6)))
-    for at, value in arming:
-        yield Statement(at, "arming", "armed" if value else "disarmed", int(value))
-    for at, value in landing:
-        yield Statement(at, "landing", "landed" if value else "in the air", int(value))
     if modes is not None:
         for at, value in changes(replace(modes, values=modes.values[:, 1:2])):
             yield Statement(at, "mode", f"mode {mode_name(autopilot, kind, _ARMED, int(value)) or int(value)}")

@@ -18,9 +18,12 @@ from replay.review.facts.log_facts import (
     above_begin,
     angles_deg,
     changes,
+    each_sample,
     inside,
+    log_facts,
     overlap,
     state_spans,
+    state_statements,
     way,
 )
 
@@ -59,20 +62,18 @@ def px4_facts(records: LogRecords) -> LogFacts:
     """Return what a log of PX4 states."""
     get = records.signal
     end_s = records.duration_s + 1e-3
-    arming = changes(records.first(get("vehicle_status", ["arming_state"], ["armed"], ""), None))
-    armed = state_spans([(at, value == _ARMED) for at, value in arming], end_s)
+    arming = changes(get("vehicle_status", ["arming_state"], ["armed"], ""), lambda state: state == _ARMED)
+    armed = state_spans(arming, end_s)
     landing = changes(get("vehicle_land_detected", ["landed"], ["landed"], ""))
-    flight = overlap(state_spans([(at, not value) for at, value in landing], end_s), armed)
+    flight = overlap(state_spans(landing, end_s, state=False), armed)
     signals: dict[str, LogSignal | None] = {}
     lacks: dict[str, str] = {}
     signals["motors"] = _motors(records, armed, lacks)
     signals["rpm"] = _rpm(records, armed)
     quaternion = [f"q[{k}]" for k in range(4)]
-    names = ("roll", "pitch", "yaw")
-    turned = get("vehicle_attitude", quaternion, quaternion, "")
-    signals["attitude"] = None if turned is None else angles_deg(turned, names, "vehicle_attitude")
+    signals["attitude"] = angles_deg(get("vehicle_attitude", quaternion, quaternion, ""))
     wanted = get("vehicle_attitude_setpoint", [f"q_d[{k}]" for k in range(4)], quaternion, "")
-    signals["attitude_wanted"] = None if wanted is None else angles_deg(wanted, names, "vehicle_attitude_setpoint")
+    signals["attitude_wanted"] = angles_deg(wanted)
     signals["height"] = above_begin(
         records.first(
             get("vehicle_air_data", ["baro_alt_meter"], ["barometer"], "m"),
@@ -96,27 +97,16 @@ def px4_facts(records: LogRecords) -> LogFacts:
     signals["resets"] = get("vehicle_local_position", counters, ["position", "height", "velocity", "climb"], "")
     signals["vibration"] = get("vehicle_imu_status", ["accel_vibration_metric"], ["vibration"], "m/s2")
     clipping = get("vehicle_imu_status", [f"accel_clipping[{k}]" for k in range(3)], ["x", "y", "z"], "samples")
-    if clipping is not None:
-        signals["clipping"] = replace(clipping, values=clipping.values.sum(axis=1, keepdims=True), names=("clipped",))
+    signals["clipping"] = each_sample(clipping, "clipped", np.sum)
     kinds = get("vehicle_status", ["vehicle_type"], ["type"], "")
     rotary = get("vehicle_status", ["is_rotary_wing"], ["type"], "")
     values = {_MULTIROTOR: "multirotor", _FIXED_WING: "plane", _ROVER: "rover"}
     vehicle = values.get(int(np.median(kinds.only)), "") if kinds is not None else ""
     if rotary is not None and np.median(rotary.only) == 1:
         vehicle = "multirotor"
-    return LogFacts(
-        autopilot="PX4",
-        vehicle=vehicle,
-        start_ns=records.first_ns,
-        duration_s=records.duration_s,
-        armed=tuple(armed),
-        flight=tuple(flight),
-        signals={name: signal for name, signal in signals.items() if signal is not None and len(signal.time_s)},
-        statements=tuple(sorted(_statements(records, arming, landing), key=lambda statement: statement.time_s)),
-        commands=tuple(_commands(records)),
-        parameters=records.parameters,
-        lacks=lacks,
-    )
+    statements = [*_statements(records), *state_statements(arming, landing)]
+    commands = _commands(records)
+    return log_facts(records, "PX4", vehicle, armed, flight, signals, statements, commands, lacks)
 
 
 def _motors(records: LogRecords, armed: Sequence[tuple[float, float]], lacks: dict[str, str]) -> LogSignal | None:
@@ -212,18 +202,12 @@ def _gps(
     signals["position"] = way(records.first(*found))
 
 
-def _statements(
-    records: LogRecords, arming: Sequence[tuple[float, float]], landing: Sequence[tuple[float, float]]
-) -> Iterator[Statement]:
+def _statements(records: LogRecords) -> Iterator[Statement]:
     for at, row in records.listed("log/text"):
         yield Statement(at, "text", str(row.get("text", "")).strip(), int(row.get("level", 6)))
-    for at, value in arming:
-        yield Statement(at, "arming", "armed" if value == _ARMED else "disarmed", int(value == _ARMED))
-    for at, value in landing:
-        yield Statement(at, "landing", "landed" if value else "in the air", int(value))
     for at, value in changes(records.signal("vehicle_status", ["nav_state"], ["mode"], "")):
         yield Statement(at, "mode", f"mode {_MODES.get(int(value), int(value))}")
-    for at, value in changes(records.signal("vehicle_status", ["failsafe"], ["failsafe"], ""))[0:]:
+    for at, value in changes(records.signal("vehicle_status", ["failsafe"], ["failsafe"], "")):
         if value:
             yield Statement(at, "failsafe", "failsafe active", 1)
     for at, value in changes(records.signal("vehicle_status", ["failure_detector_status"], ["bits"], "")):
@@ -233,7 +217,7 @@ def _statements(
     for k in range(_MOST_ROTORS):
         control = records.signal("actuator_motors", [f"control[{k}]"], [""], "")
         if control is not None and np.isfinite(control.only).any():
-            for at, value in changes(replace(control, values=np.isnan(control.values).astype(np.float64)))[1:]:
+            for at, value in changes(control, np.isnan)[1:]:
                 yield Statement(at, "stopped", f"motor{k + 1}", int(value))
     for name, text in (("manual_lockdown", "kill switch"), ("kill", "kill switch"), ("force_failsafe", "termination")):
         for at, value in changes(records.signal("actuator_armed", [name], [name], "")):
