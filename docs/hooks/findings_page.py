@@ -16,12 +16,12 @@ def findings_page() -> str:
             rule.stage,
             rule.physics,
             rule.evidence,
-            rule.counter,
+            "; ".join(rule.counter),
             "; ".join(SIGNALS[name] for name in rule.needs),
         )
         for rule in RULES
     )
-    heads = ("finding", "stage", "physics", "evidence", "what speaks against it", "needs")
+    heads = ("finding", "stage", "physics", "evidence", "what else looks so, and why it is not that", "needs")
     return "\n".join(
         [
             "# Findings of a review",

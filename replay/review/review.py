@@ -32,6 +32,11 @@ class ReviewFinding:
         """Whether it is the first thing that stopped following."""
         return self.rank == "first"
 
+    @property
+    def counter(self) -> tuple[str, ...]:
+        """What else looks so, and why it is not that."""
+        return *self.rule.counter, *self.judgement.counter
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogReview:
@@ -198,7 +203,7 @@ def _finding_json(finding: ReviewFinding) -> dict[str, Any]:
         "end_s": round(judgement.end_s, 3),
         "text": judgement.text,
         "evidence": list(judgement.evidence),
-        "counter_evidence": list(judgement.counter),
+        "counter_evidence": list(finding.counter),
     }
 
 

@@ -59,11 +59,18 @@ def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
                     ("how sure", said.confidence),
                     ("where", finding.rule.stage),
                     *(("evidence", line) for line in said.evidence),
-                    *(("against other causes", line) for line in said.counter),
+                    *(("against other causes", line) for line in finding.counter),
                     ("physics", finding.rule.physics),
                 ]
             ),
-            _signals(review, charts, said.plots, said.start_s - _BEFORE_S, said.start_s + _AFTER_S, said.start_s),
+            _signals(
+                review,
+                charts,
+                (*said.plots, *finding.rule.plots),
+                said.start_s - _BEFORE_S,
+                said.start_s + _AFTER_S,
+                said.start_s,
+            ),
             class_=said.weight if said.weight != "information" else "",
         )
 

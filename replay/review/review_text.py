@@ -21,7 +21,7 @@ def review_lines(review: LogReview) -> Iterator[str]:
         yield f"  [{mark}] {finding.judgement.start_s:.1f} s, {finding.rule.title} ({finding.judgement.confidence})"
         yield f"      {finding.judgement.text}"
         yield from (f"      evidence: {line}" for line in finding.judgement.evidence)
-        yield from (f"      against: {line}" for line in finding.judgement.counter)
+        yield from (f"      against: {line}" for line in finding.counter)
     entries = review.timeline()
     if entries:
         yield "  time line:"

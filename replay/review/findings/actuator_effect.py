@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import partial
 
-from replay.review.facts.log_facts import LogFacts
 from replay.review.findings.learned_alarms import alarms_of
-from replay.review.findings.rule import Judgement, Rule
+from replay.review.findings.rule import Rule
 
-
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    return alarms_of(
-        facts,
-        ("motor", "esc", "prop", "aileron", "elevator", "rudder", "throttle", "steering"),
-        1.0,
-        ("the same command had another effect before", "wind and load move the estimates of all actuators together"),
-        ("motors", "attitude", "airspeed"),
-    )
-
+_ACTUATORS = "motor", "esc", "prop", "aileron", "elevator", "rudder", "throttle", "steering"
 
 RULE = Rule(
     name="actuator_effect",
@@ -28,8 +18,12 @@ RULE = Rule(
     "and drag) the throttle, a rover's yaw rate its steering times the speed. An actuator that fails leaves that, "
     "whatever the autopilot does to hold the vehicle.",
     evidence="the observer designed from that model raises an alarm of one actuator until the flight ends, or for 12 s",
-    counter="what was so from the begin cannot be told from how the vehicle is built; shorter alarms; a size that no "
-    "actuator can have, which says that what was learned does not hold",
+    counter=(
+        "the same command had another effect before: what was so from the begin is how the vehicle is built",
+        "wind and load move the estimates of all actuators together, hard turns those of one for some seconds",
+        "a size that no actuator can have says that what was learned does not hold, and is not stated",
+    ),
     needs=("watch",),
-    judge=_judge,
+    plots=("motors", "attitude", "airspeed"),
+    judge=partial(alarms_of, channels={_ACTUATORS: 1.0}),
 )

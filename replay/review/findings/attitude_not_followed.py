@@ -51,14 +51,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 *saturated[1],
                 *_high(facts, start),
             ),
-            counter=(
-                "motors were commanded to turn until then: it was not let fall",
-                f"it is far from all that was wanted over the last {_APART_S:g} s: a vehicle at full sticks is not",
-                "accelerometers or the barometer show a blow, a fall or a tilt, so far as the log has them",
-            ),
-            confidence="likely",
             weight="critical",
-            plots=("attitude", "attitude_wanted", "motors"),
         )
 
 
@@ -107,9 +100,14 @@ RULE = Rule(
     physics="An autopilot holds roll and pitch within some degrees of what it wants as long as its motors have room. "
     "Where they do not (a motor lost, a load, a blow), the attitude leaves it.",
     evidence="30 degrees apart for half a second in flight, while motors were commanded to turn",
-    counter="motors were stopped or idle; a vehicle at full sticks, which is behind by half a second; one that stands "
-    "on the ground while sticks move; an estimator that errs: accelerometers and barometer say that nothing happened",
+    counter=(
+        "motors were commanded to turn until then, more than idle: it was not let fall",
+        f"it is far from all that was wanted over the last {_APART_S:g} s: a vehicle at full sticks is not",
+        "the attitude itself moved: on the ground sticks do, and the vehicle does not",
+        "accelerometers or the barometer show a blow, a fall or a tilt, so far as the log has them",
+    ),
     needs=("attitude", "attitude_wanted", "motors"),
+    plots=("attitude", "attitude_wanted", "motors"),
     judge=_judge,
     multirotor=True,
     least_hz=7.5,  # of half a second four samples

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _CELL_V = 3.3
@@ -23,7 +23,7 @@ _CELLS, _EMPTY = ("BAT1_N_CELLS", "BAT_N_CELLS"), ("BAT1_V_EMPTY", "BAT_V_EMPTY"
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     battery = facts.signals["battery"]
     times, volts = battery.time_s, battery.values[:, 0]
-    judged = facts.in_flight(times) & (times < lost_s(facts)) & np.isfinite(volts)
+    judged = in_control(facts, times) & np.isfinite(volts)
     if not judged.any():
         return
     said = next((facts.parameters[name] for name in _CELLS if facts.parameters.get(name, 0) > 0), 0.0)
@@ -32,7 +32,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     # cells of lithium ion may be taken further down, which their owner then says
     limit = min([_CELL_V, *(facts.parameters[name] for name in _EMPTY if facts.parameters.get(name, 0.0) > 1.0)])
     for start, end in spans_where(times, judged & (volts < limit * cells), _LEAST_S)[:1]:
-        least = float(np.min(volts[(times >= start) & (times <= end)]))
+        least = float(battery.during(start, end).only.min())
         yield Judgement(
             start_s=start,
             end_s=end,
@@ -41,10 +41,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 f"{battery.origin}: below {limit * cells:.1f} V from {start:.1f} to {end:.1f} s",
                 f"{cells} cells, {source}",
             ),
-            counter=("the log says that a battery is connected and shows volts, not zero",),
             confidence="likely" if said else "possible",
             weight="warning" if said else "information",
-            plots=("battery", "motors"),
         )
 
 
@@ -55,8 +53,12 @@ RULE = Rule(
     physics="Below 3.3 V a cell's voltage collapses under load: motors get less than their commands ask for, and in "
     "the end the autopilot no power.",
     evidence="less than 3.3 V for each cell, or what the parameters call empty where that is less, over 3 s of flight",
-    counter="no battery connected to the sensor; a short dip under full command; information alone where the number of "
-    "cells is a guess",
+    counter=(
+        "the log says that a battery is connected and shows volts, not zero",
+        "a dip under full command passes within seconds",
+        "where the number of cells is a guess it is information alone",
+    ),
     needs=("battery",),
+    plots=("battery", "motors"),
     judge=_judge,
 )

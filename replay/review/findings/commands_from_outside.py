@@ -27,13 +27,9 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 evidence=(
                     f"{command.name} at {command.time_s:.2f} s with {', '.join(map(str, command.values)) or 'nothing'}",
                 ),
-                counter=(
-                    f"commands before take-off came from {known or 'nobody'}",
-                    "a second ground station that was switched on in flight looks the same",
-                ),
+                counter=(f"commands before take-off came from {known or 'nobody'}",),
                 confidence="likely" if known else "possible",
                 weight=said.weight,
-                plots=("height", "motors", "attitude"),
             )
     if flood_s is not None:
         yield Judgement(
@@ -41,10 +37,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             end_s=flood_s + 1.0,
             text=f"up to {watch.most} commands a second reached the vehicle in flight",
             evidence=(f"more than {FLOOD} commands within a second, from {flood_s:.2f} s on",),
-            counter=("missions and parameters come with an answer to each, and slower",),
             confidence="certain",
-            weight="warning",
-            plots=("height", "motors", "attitude"),
         )
 
 
@@ -56,8 +49,12 @@ RULE = Rule(
     "mission or takes safety parameters away; the vehicle does as it is told, and nothing fails.",
     evidence="such a command in flight from ids that had not commanded before take-off; more than "
     f"{FLOOD} commands a second",
-    counter="a second ground station switched on in flight; a sender that uses the ids of the ground station, which "
-    "signing alone tells apart",
+    counter=(
+        "a second ground station that was switched on in flight looks the same",
+        "missions and parameters of a ground station come with an answer to each, and slower than a flood",
+        "a sender that uses the ids of the ground station is not seen: signing alone tells it apart",
+    ),
     needs=(),
+    plots=("height", "motors", "attitude"),
     judge=_judge,
 )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import Floats, LogFacts, spans_where
-from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _WANTED = 0.5
@@ -22,8 +22,7 @@ _ROUGH_S = 2.0
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     wanted, height, motors = (facts.signals[name] for name in ("climb_wanted", "height", "motors"))
-    end_s = lost_s(facts)
-    times = height.time_s[facts.in_flight(height.time_s) & (height.time_s < end_s)]
+    times = height.time_s[in_control(facts, height.time_s)]
     if len(times) < 2:
         return
     smooth = _smoothed(height.time_s, height.only, times)
@@ -48,13 +47,6 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 f"{height.origin}: {gained:+.1f} m meanwhile",
                 f"{motors.origin}: mean command {np.median(collective[within]):.2f}, {typical:.2f} over the flight",
             ),
-            counter=(
-                f"an updraft or the end of a climb passes within {_LEAST_S:g} s; this lasted {end - start:.1f} s",
-                "the barometer says so by itself, whatever the estimator believed",
-            ),
-            confidence="likely",
-            weight="warning",
-            plots=("climb_wanted", "height", "motors"),
         )
 
 
@@ -73,8 +65,12 @@ RULE = Rule(
     physics="At the least thrust that the autopilot allows (PX4's MPC_THR_MIN, ArduPilot's SPIN_MIN) a light, strong "
     "vehicle still climbs: it cannot come down, and its landing detector may take that for the ground.",
     evidence="a descent wanted for 3 s, motors below their usual command, and the barometer 1 m higher at its end",
-    counter="an updraft; the end of a climb; a barometer disturbed by the rotors",
+    counter=(
+        f"an updraft or the end of a climb passes within {_LEAST_S:g} s",
+        "the barometer says so by itself, whatever the estimator believed; rotors disturb it by less",
+    ),
     needs=("climb_wanted", "height", "motors"),
+    plots=("climb_wanted", "height", "motors"),
     judge=_judge,
     multirotor=True,
 )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _SLOW = 0.4
@@ -25,7 +25,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
         return
     times = rpm.time_s
     command = motors.at(times)
-    judged = facts.in_flight(times) & (times < lost_s(facts)) & (command > _COMMANDED).all(axis=1)
+    judged = in_control(facts, times) & (command > _COMMANDED).all(axis=1)
     if not judged.any():
         return
     # at one command all motors of a vehicle turn about as fast: the others say what is usual
@@ -44,10 +44,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                     f"{rpm.origin}: {turned:.0f} rpm, usual at that command {usual * asked**0.5:.0f} rpm",
                     f"{motors.origin}: command {asked:.2f} meanwhile",
                 ),
-                counter=("its command had not been taken to zero", "the other motors turned as usual"),
                 confidence="certain",
                 weight="critical",
-                plots=("rpm", "motors", "attitude"),
             )
 
 
@@ -58,8 +56,9 @@ RULE = Rule(
     physics="Thrust goes with the square of speed and about with command, so speed over the root of the command is the "
     "same for all motors of a vehicle. A stopped motor or ESC leaves it.",
     evidence="less than 40 % of the usual speed at that command for 0.6 s, in flight",
-    counter="the command went to zero; all ESCs stopped reporting at once",
+    counter=("its command had not been taken to zero", "the other motors turned as usual, and were reported"),
     needs=("rpm", "motors"),
+    plots=("rpm", "motors", "attitude"),
     judge=_judge,
     multirotor=True,
 )

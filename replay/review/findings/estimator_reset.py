@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts
-from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _AFTER_S = 5.0
@@ -17,23 +17,16 @@ the compass and the barometer (PX4 does so from 1.5 m on)."""
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     resets = facts.signals["resets"]
-    times, end_s = resets.time_s, lost_s(facts)
+    judged = in_control(facts, resets.time_s) & (resets.time_s > facts.flight[0][0] + _AFTER_S)
     for k, name in enumerate(resets.names):
-        at = np.flatnonzero(np.diff(resets.values[:, k]) > 0) + 1
-        begin_s = facts.flight[0][0] + _AFTER_S if facts.flight else 0.0
-        in_flight = facts.in_flight(times)
-        late = [int(row) for row in at if in_flight[row] and begin_s < times[row] < end_s]
+        late = resets.time_s[1:][(np.diff(resets.values[:, k]) > 0) & judged[1:]].tolist()
         if late:
-            first = float(times[late[0]])
             yield Judgement(
-                start_s=first,
-                end_s=float(times[late[-1]]),
+                start_s=late[0],
+                end_s=late[-1],
                 text=f"the estimator set its {name} anew {len(late)} time{'s' * (len(late) > 1)} in flight",
-                evidence=(f"{resets.origin}: counter of {name} from {first:.1f} s on",),
-                counter=(f"resets within {_AFTER_S:g} s of take-off are usual, and were left out",),
-                confidence="likely",
+                evidence=(f"{resets.origin}: counter of {name} from {late[0]:.1f} s on",),
                 weight="warning" if name in ("position", "height") else "information",
-                plots=("resets", "ratios", "height_estimate"),
             )
 
 
@@ -43,7 +36,11 @@ RULE = Rule(
     stage="estimator",
     physics="An estimator that has refused a source for seconds takes it up again by a jump.",
     evidence="its counter of resets goes up in flight",
-    counter="alignment after take-off; after a fall or stopped motors",
+    counter=(
+        f"resets within {_AFTER_S:g} s of take-off are usual, and were left out",
+        "the vehicle was still flown: a fall or stopped motors come before none of them",
+    ),
     needs=("resets",),
+    plots=("resets", "ratios", "height_estimate"),
     judge=_judge,
 )

@@ -30,10 +30,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             end_s=times[-1],
             text=f"the autopilot announced: {text}",
             evidence=(f"at {times[0]:.1f} s" + (f", {len(times)} times" if len(times) > 1 else ""),),
-            counter=("it says what the autopilot saw, which need not be the cause",),
             confidence="certain",
-            weight="warning",
-            plots=("attitude", "ratios", "battery"),
         )
 
 
@@ -43,7 +40,11 @@ RULE = Rule(
     stage="reaction",
     physics="The autopilot compares what it measures with limits of its own and acts; that act can be the incident.",
     evidence="its own statement in flight",
-    counter="on the ground; after control was lost; it is a reaction, so a finding before it comes first",
+    counter=(
+        "it says what the autopilot saw, which need not be the cause: a finding before it comes first",
+        "those on the ground and after control was lost are left out",
+    ),
     needs=(),
+    plots=("attitude", "ratios", "battery"),
     judge=_judge,
 )

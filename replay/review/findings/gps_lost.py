@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _FIX_3D = 3
@@ -17,21 +17,17 @@ _LEAST_S = 1.0
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     gps = facts.signals["gps"]
     times = gps.time_s
-    judged = facts.in_flight(times) & (times < lost_s(facts))
+    judged = in_control(facts, times)
     if not (gps.only[judged] >= _FIX_3D).any():
         return
     for start, end in spans_where(times, judged & (gps.only < _FIX_3D), _LEAST_S)[:1]:
-        within = (times >= start) & (times <= end)
-        fewest = int(gps.values[within, 1].min())
+        fewest = int(gps.during(start, end).values[:, 1].min())
         yield Judgement(
             start_s=start,
             end_s=end,
             text=f"GPS lost its fix for {end - start:.1f} s in flight, with {fewest} satellites",
             evidence=(f"{gps.origin}: fix below 3 from {start:.1f} to {end:.1f} s, {fewest} satellites at least",),
-            counter=("the estimator used GPS in this flight", "it had a fix before"),
             confidence="certain",
-            weight="warning",
-            plots=("gps", "ratios", "height_estimate"),
         )
 
 
@@ -41,7 +37,11 @@ RULE = Rule(
     stage="sensor",
     physics="Without a fix the estimator goes on by inertia alone, and drifts by metres within seconds.",
     evidence="no fix of three dimensions for a second in flight, after one",
-    counter="a receiver that the estimator does not use (vision, flow): whatever it shows moves nothing",
+    counter=(
+        "the estimator used GPS in this flight: where vision or flow is used, a receiver moves nothing",
+        "it had a fix before",
+    ),
     needs=("gps",),
+    plots=("gps", "ratios", "height_estimate"),
     judge=_judge,
 )

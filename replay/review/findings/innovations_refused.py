@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.loss_of_control import in_control, lost_s
 from replay.review.findings.rule import Judgement, Rule
 
 _REFUSED = 1.0
@@ -19,23 +19,17 @@ _LEAST_S = 1.0
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     ratios = facts.signals["ratios"]
     times, end_s = ratios.time_s, lost_s(facts)
-    judged = facts.in_flight(times) & (times < end_s)
+    judged = in_control(facts, times)
     for k, name in enumerate(ratios.names):
         values = np.nan_to_num(ratios.values[:, k])
         for start, end in spans_where(times, judged & (values > _REFUSED), _LEAST_S)[:1]:
-            most = float(values[(times >= start) & (times <= end)].max())
+            most = float(np.nanmax(ratios.during(start, end).values[:, k]))
             yield Judgement(
                 start_s=start,
                 end_s=end,
                 text=f"the estimator refused its measurements of {name} for {end - start:.1f} s",
                 evidence=(f"{ratios.origin}: {name} up to {most:.1f} times what it admits, from {start:.1f} s on",),
-                counter=(
-                    "the vehicle was still flown then: what comes after a fall, a blow or stopped motors is left out"
-                    + (f" (from {end_s:.1f} s on)" if end_s < facts.duration_s else ""),
-                ),
-                confidence="likely",
-                weight="warning",
-                plots=("ratios", "height", "height_estimate"),
+                counter=(f"what is left out begins at {end_s:.1f} s",) if end_s < facts.duration_s else (),
             )
 
 
@@ -46,7 +40,8 @@ RULE = Rule(
     physics="Motion predicted from gyros and accelerometers and measured by GPS or barometer disagree by more than "
     "their noise: one of the two is wrong.",
     evidence="an innovation beyond its gate for a second in flight",
-    counter="it came after motors were stopped, a fall or a blow: then it is a consequence; a source not in use",
+    counter=("the vehicle was still flown then: what comes after a fall, a blow or stopped motors is left out",),
     needs=("ratios",),
+    plots=("ratios", "height", "height_estimate"),
     judge=_judge,
 )

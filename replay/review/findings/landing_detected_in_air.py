@@ -30,13 +30,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 f"{facts.signals['motors'].origin}: all motors at zero from {start:.2f} to {end:.2f} s",
                 f"{facts.signals['height'].origin}: {fell:.1f} m lower within 3 s of it",
             ),
-            counter=(
-                "a landing on a roof or a hill looks the same up to the stop, but nothing falls after it",
-                "the barometer reads higher when rotors stop near the ground, not lower",
-            ),
             confidence="certain",
             weight="critical",
-            plots=("motors", "height", "climb"),
         )
 
 
@@ -47,8 +42,12 @@ RULE = Rule(
     physics="A landing detector that sees low thrust and no vertical motion calls it the ground; autopilots then stop "
     "the motors. A vehicle that cannot descend at its least thrust looks just so.",
     evidence="'landed' ahead of all motors at zero, and the barometer falling by 2 m or more within 3 s",
-    counter="nothing falls: it was the ground, however high",
+    counter=(
+        "a landing on a roof or a hill looks the same up to the stop, but nothing falls after it",
+        "the barometer reads higher when rotors stop near the ground, not lower",
+    ),
     needs=("motors", "height"),
+    plots=("motors", "height", "climb"),
     judge=_judge,
     multirotor=True,
 )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from math import isnan, nan
 
 from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts
 from replay.review.findings.loss_of_control import lost_s
@@ -24,12 +25,10 @@ _LANDING_S = 3.0
 """Seconds ahead of touch-down that are left out: the air that rotors throw at the ground comes back."""
 
 
-def alarms_of(
-    facts: LogFacts, channels: tuple[str, ...], least_share: float, counter: tuple[str, ...], plots: tuple[str, ...]
-) -> Iterator[Judgement]:
+def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Iterator[Judgement]:
     """Yield the lasting alarms of channels that begin with some words, one for each channel, from its first on.
 
-    ``least_share`` is how many times its threshold one has to be to be more than information.
+    ``channels`` says of such words how many times its threshold an alarm has to be to be more than information.
     """
     watch = facts.watch
     if watch is None:
@@ -39,7 +38,7 @@ def alarms_of(
     lasting = [
         alarm
         for alarm in watch.alarms
-        if alarm.channel.startswith(channels)
+        if not isnan(_least_share(channels, alarm))
         and _own(alarm)
         and _until_s(alarm, facts, end_s) - alarm.start_s >= _LEAST_S
     ]
@@ -57,7 +56,7 @@ def alarms_of(
         staying = [alarm for alarm in every if _stays(alarm, facts, end_s)]
         own = staying or every
         largest = max(own, key=lambda alarm: alarm.share)
-        enough = bool(staying) and largest.share >= least_share and not _within_accuracy(largest)
+        enough = bool(staying) and largest.share >= _least_share(channels, largest) and not _within_accuracy(largest)
         # a heading off and a turn rate off look alike to the sensors that are left
         either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
         yield Judgement(
@@ -69,11 +68,15 @@ def alarms_of(
                 f"{own[0].start_s:.1f} to {own[-1].end_s:.1f} s",
                 f"up to {largest.share:.1f} times the threshold",
             ),
-            counter=counter,
             confidence="likely" if enough and not either else "possible",
             weight="warning" if enough else "information",
-            plots=(f"estimate_{channel}", *plots),
+            plots=(f"estimate_{channel}",),
         )
+
+
+def _least_share(channels: Mapping[tuple[str, ...], float], alarm: LearnedAlarm) -> float:
+    """Return how many times its threshold an alarm has to be; NaN of a channel that is not asked for."""
+    return next((share for words, share in channels.items() if alarm.channel.startswith(words)), nan)
 
 
 def _within_accuracy(alarm: LearnedAlarm) -> bool:

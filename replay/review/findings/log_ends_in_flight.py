@@ -34,10 +34,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
         end_s=facts.duration_s,
         text=f"the log ends in the air, {last[-1]:.0f} m above where it begins: power was lost, or recording stopped",
         evidence=(f"{height.origin}: {last[-1]:.1f} m at the end, armed and not landed{volts}",),
-        counter=("a file that was cut or a recording that was stopped looks the same",),
         confidence="possible",
         weight="information",
-        plots=("height", "battery"),
     )
 
 
@@ -47,7 +45,8 @@ RULE = Rule(
     stage="supply",
     physics="An autopilot without power writes nothing more.",
     evidence="armed, not landed and 3 m high in the last second and a half",
-    counter="a recording that was stopped or cut",
+    counter=("a file that was cut or a recording that was stopped looks the same",),
     needs=("height",),
+    plots=("height", "battery"),
     judge=_judge,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from replay.review.facts.log_facts import Floats, LogFacts, inside, spans_where
 
@@ -81,3 +82,8 @@ def lost_s(facts: LogFacts) -> float:
     """Return when control was lost, as far as can be seen; the log's end where it was not."""
     ends = [start for start, _, _ in stops(facts)] + [start for start, _ in tumbles(facts)]
     return min(ends, default=facts.duration_s)
+
+
+def in_control(facts: LogFacts, time_s: Floats) -> NDArray[np.bool_]:
+    """Return which of n times are in flight and before control was lost (n,)."""
+    return facts.in_flight(time_s) & (time_s < lost_s(facts))

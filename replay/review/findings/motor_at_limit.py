@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _FULL = 0.95
@@ -23,7 +23,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     if len(motors.names) < 4:
         return
     times, values = motors.time_s, motors.values
-    judged = facts.in_flight(times) & (times < lost_s(facts))
+    judged = in_control(facts, times)
     for k, name in enumerate(motors.names):
         others = np.delete(values, k, axis=1)
         alone = (values[:, k] > _FULL) & (np.median(others, axis=1) < values[:, k] - _APART) & judged
@@ -35,10 +35,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 text=f"{name} was at full command for {end - start:.1f} s while the others were at {100 * mean:.0f} %: "
                 "it, its ESC or its propeller gives too little",
                 evidence=(f"{motors.origin}: {name} above {_FULL:.2f}, median of the others {mean:.2f}",),
-                counter=("a hard climb takes all motors up, a turn in yaw the two that turn the same way",),
-                confidence="likely",
                 weight="critical",
-                plots=("motors", "attitude", "rpm"),
             )
 
 
@@ -48,8 +45,9 @@ RULE = Rule(
     stage="motion",
     physics="The autopilot gives the motor that lifts too little more and more command, until there is no more.",
     evidence="one motor above 95 % for a second, the others' median 25 % of full command lower",
-    counter="climbs and turns in yaw, in which others are at their most too",
+    counter=("a hard climb takes all motors up, a turn in yaw the two that turn the same way",),
     needs=("motors",),
+    plots=("motors", "attitude", "rpm"),
     judge=_judge,
     multirotor=True,
     least_hz=4.0,  # of a second four samples

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import STOPPED, lost_s
+from replay.review.findings.loss_of_control import STOPPED, in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _LEAST_S = 1.5
@@ -20,7 +20,7 @@ at which a saturated mixer takes single motors to zero."""
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     motors = facts.signals["motors"]
     times, values = motors.time_s, motors.values
-    judged = facts.in_flight(times) & (times < lost_s(facts))
+    judged = in_control(facts, times)
     for k, name in enumerate(motors.names):
         others = np.median(np.delete(values, k, axis=1), axis=1)
         marked = [
@@ -46,10 +46,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 text=f"{name} was commanded to stop for {end - start:.1f} s while the others were at "
                 f"{100 * mean:.0f} %: the autopilot took it out",
                 evidence=(f"{motors.origin}: {name} below {STOPPED:g}, the others at {mean:.2f}", *said),
-                counter=("its command is zero: a motor that fails by itself gets more, not less",),
                 confidence="certain" if marked else "likely",
                 weight="critical",
-                plots=("motors", "attitude", "rpm"),
             )
 
 
@@ -59,8 +57,12 @@ RULE = Rule(
     stage="command",
     physics="Autopilots stop a motor whose ESC reports a failure, or for a test of failures (PX4's failure injection).",
     evidence="one command at zero for 1.5 s, or marked as stopped, while the others carry the vehicle",
-    counter="outputs that drive nothing, which never move; a saturated mixer, which lets go within half a second",
+    counter=(
+        "its command is zero: a motor that fails by itself gets more, not less",
+        "outputs that drive nothing never move; a saturated mixer lets go within half a second",
+    ),
     needs=("motors",),
+    plots=("motors", "attitude", "rpm"),
     judge=_judge,
     multirotor=True,
 )

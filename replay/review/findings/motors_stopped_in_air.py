@@ -32,10 +32,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 f"{facts.signals['height'].origin}: {fell:.1f} m lower within 3 s of it",
                 *(f"{cause.kind} at {cause.time_s:.2f} s: {cause.text}" for cause in causes),
             ),
-            counter=("no landing was detected before it", "the commands themselves are zero: no motor failed"),
             confidence="certain",
             weight="critical",
-            plots=("motors", "height", "climb"),
         )
 
 
@@ -46,8 +44,12 @@ RULE = Rule(
     physics="A kill switch, a disarming, a termination or a crash detector takes all commands to zero, and the "
     "vehicle falls.",
     evidence="all motors at zero for 0.4 s or longer after they turned, the barometer falling by 2 m within 3 s",
-    counter="a landing that was detected before; a barometer that does not fall",
+    counter=(
+        "no landing was detected before it, and the barometer falls",
+        "the commands themselves are zero: no motor failed",
+    ),
     needs=("motors", "height"),
+    plots=("motors", "height", "climb"),
     judge=_judge,
     multirotor=True,
 )

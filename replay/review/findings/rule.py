@@ -30,13 +30,13 @@ class Judgement:
     evidence : tuple[str, ...]
         What the log shows for it, figures with their records.
     counter : tuple[str, ...]
-        What else could have looked so, and why it was not that.
+        What else could have looked so and was not, beside what the rule says of all logs.
     confidence : {"certain", "likely", "possible"}
         How much of the evidence is direct.
     weight : {"information", "warning", "critical"}
         Information alone is no finding.
     plots : tuple[str, ...]
-        Names of the signals that show it.
+        Names of signals that show it, ahead of those that the rule names.
     event : bool
         Whether it begins at its time; a condition of the whole flight comes first only where nothing else does.
     """
@@ -64,10 +64,14 @@ class Rule:
         Where in the order of causes it is.
     physics : str
         Why it shows in this way.
-    evidence, counter : str
-        What has to be seen, and what speaks against it.
+    evidence : str
+        What has to be seen.
+    counter : tuple[str, ...]
+        What else looks so, and why it is not that.
     needs : tuple[str, ...]
         Signals without which nothing can be said.
+    plots : tuple[str, ...]
+        Names of the signals that show it.
     judge : Callable
         Returns what it says of a log; raises :class:`UnjudgedError` where it cannot tell.
     multirotor : bool
@@ -81,8 +85,9 @@ class Rule:
     stage: Stage
     physics: str
     evidence: str
-    counter: str
+    counter: tuple[str, ...]
     needs: tuple[str, ...]
+    plots: tuple[str, ...]
     judge: Callable[[LogFacts], Iterable[Judgement]]
     multirotor: bool = False
     least_hz: float = 0.0

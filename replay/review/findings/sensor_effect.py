@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import partial
 from math import inf
 
-from replay.review.facts.log_facts import LogFacts
 from replay.review.findings.learned_alarms import alarms_of
-from replay.review.findings.rule import Judgement, Rule
+from replay.review.findings.rule import Rule
 
 _OUTSIDE = 3.0
 """Measured on fifteen healthy flights learned from their first 40 s: alarms of GPS that last come up to 1.9 times their
@@ -19,21 +18,6 @@ _CHANNELS = {("gyro_", "accel_"): 1.0, ("gps_", "baro", "motion_"): _OUTSIDE, ("
 """How many times its threshold an alarm has to be, by the begin of the channel's name. Of a compass it stays
 information: its error goes with the heading, of which 40 s show a few (14 degrees in a healthy flight that turned)."""
 
-
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    for channels, least_share in _CHANNELS.items():
-        yield from alarms_of(
-            facts,
-            channels,
-            least_share,
-            (
-                "it agreed with the other sensors over the begin of the flight",
-                "the others agree with each other meanwhile",
-            ),
-            ("height", "height_estimate", "ratios"),
-        )
-
-
 RULE = Rule(
     name="sensor_effect",
     title="A sensor disagrees with the others",
@@ -42,8 +26,11 @@ RULE = Rule(
     "is estimated, with the noise of the flight's own first 40 s.",
     evidence="the observer raises an alarm of one sensor until the flight ends, or for 12 s; of GPS "
     "and barometer at 3 times its threshold",
-    counter="wind that the begin did not have moves estimates of GPS: up to 2.5 m, its own accuracy, is no finding; "
-    "what was so from the begin",
+    counter=(
+        "it agreed with the other sensors over the begin of the flight, and they agree with each other meanwhile",
+        "wind that the begin did not have moves estimates of GPS: up to 2.5 m, its own accuracy, is no finding",
+    ),
     needs=("watch",),
-    judge=_judge,
+    plots=("height", "height_estimate", "ratios"),
+    judge=partial(alarms_of, channels=_CHANNELS),
 )

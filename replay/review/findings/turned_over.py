@@ -33,13 +33,11 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             text=f"the vehicle turned over: {most:.0f} degrees of roll or pitch for {end - start:.1f} s",
             evidence=(f"{attitude.origin}: beyond 100 degrees from {start:.2f} s on",),
             counter=(
-                "its motors had not been commanded to stop before",
                 f"the mode was {modes[-1].removeprefix('mode ') if modes else 'not recorded'}"
                 + (", in which pilots turn over on purpose" if meant else ""),
             ),
             confidence="possible" if meant else "certain",
             weight="information" if meant else "critical",
-            plots=("attitude", "motors", "height"),
         )
 
 
@@ -49,9 +47,13 @@ RULE = Rule(
     stage="motion",
     physics="With a motor or a propeller gone, or with a wrong attitude, a multirotor tumbles within a second.",
     evidence="roll or pitch beyond 100 degrees for 0.3 s in flight",
-    counter="flips in acro modes, after which it flies on; a fall after motors were stopped; an estimator that errs: "
-    "no blow, no fall, and the accelerometer along the rotors does not hang",
+    counter=(
+        "its motors had not been commanded to stop before",
+        "flips in acro modes, after which it flies on, are information alone",
+        "where an estimator errs there is no blow, no fall, and the accelerometer along the rotors does not hang",
+    ),
     needs=("attitude", "motors"),
+    plots=("attitude", "motors", "height"),
     judge=_judge,
     multirotor=True,
 )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _ARDUPILOT, _PX4 = 60.0, 9.81
@@ -20,12 +20,12 @@ _CLIPPED = 100
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    vibration, end_s = facts.signals["vibration"], lost_s(facts)
+    vibration = facts.signals["vibration"]
     limit = _ARDUPILOT if facts.autopilot == "ArduPilot" else _PX4
     times = vibration.time_s
-    judged = facts.in_flight(times) & (times < end_s)
+    judged = in_control(facts, times)
     high = judged & (vibration.only > limit)
-    clipped = _clipped(facts, end_s)
+    clipped = _clipped(facts)
     if not judged.any() or (high.sum() < _SHARE * judged.sum() and clipped < _CLIPPED):
         return
     most = float(np.max(vibration.only[judged]))
@@ -39,19 +39,16 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             f"{vibration.origin}: above {limit:g} m/s2 in {100 * high.sum() / judged.sum():.0f} % of the flight",
             *([f"{facts.signals['clipping'].origin}: {clipped:.0f} clipped samples in flight"] if clipped else []),
         ),
-        counter=("landings and what came after a fall are left out",),
-        confidence="likely",
         weight="warning" if clipped >= _CLIPPED else "information",
-        plots=("vibration", "clipping", "acceleration"),
         event=False,
     )
 
 
-def _clipped(facts: LogFacts, end_s: float) -> float:
+def _clipped(facts: LogFacts) -> float:
     clipping = facts.signals.get("clipping")
     if clipping is None:
         return 0.0
-    judged = clipping.only[facts.in_flight(clipping.time_s) & (clipping.time_s < end_s)]
+    judged = clipping.only[in_control(facts, clipping.time_s)]
     return float(judged[-1] - judged[0]) if len(judged) else 0.0
 
 
@@ -62,7 +59,8 @@ RULE = Rule(
     physics="Vibration beyond an accelerometer's range is cut off on one side more than on the other: the estimator "
     "sees an acceleration that is not there, in height first.",
     evidence="the autopilot's own level beyond its documented limit in a fifth of the flight, or 100 clipped samples",
-    counter="landings and blows; information alone where nothing is clipped",
+    counter=("landings and what came after a fall are left out", "where little is clipped it is information alone"),
     needs=("vibration",),
+    plots=("vibration", "clipping", "acceleration"),
     judge=_judge,
 )
