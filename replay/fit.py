@@ -47,32 +47,16 @@ _NEVER_S = 1e6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitReport:
-    """What ``fauio fit`` found.
+    """What ``fauio fit`` found."""
 
-    Parameters
-    ----------
-    vehicle : str
-        Kind of vehicle.
-    observers : tuple[Fitted, ...]
-        The fitted observers.
-    notes : tuple[str, ...]
-        What could not be fitted, and why.
-    warnings : tuple[str, ...]
-        What makes the profile worse than it could be.
-    set_aside : Path | None
-        Where the profile.toml went that stood in the folder before, with what a person may have edited in it.
-    edits : tuple[str, ...]
-        What of it was kept, of a profile that was updated.
-    left_out : tuple[str, ...]
-        Flights that the profile no longer keeps, for lack of room: updates to come are without them.
-    """
-
-    vehicle: str
+    vehicle: str  # kind of vehicle
     observers: tuple[Fitted, ...]
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...]  # what could not be fitted, and why
+    warnings: tuple[str, ...] = ()  # what makes the profile worse than it could be
+    # where the profile.toml went that stood in the folder before, with what a person may have edited in it
     set_aside: Path | None = None
-    edits: tuple[str, ...] = ()
+    edits: tuple[str, ...] = ()  # what of it was kept, of a profile that was updated
+    # flights that the profile no longer keeps, for lack of room: updates to come are without them
     left_out: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:

@@ -46,51 +46,23 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """What a replay found.
+    """What a replay found."""
 
-    Parameters
-    ----------
-    events : tuple[AlarmEvent, ...]
-        Alarm events in order.
-    traces : tuple[Trace, ...]
-        Estimates by observer; empty where they were not asked for.
-    samples : int
-        Samples the observers took.
-    evidence : int
-        Samples among them from which alarms could be raised.
-    watched_s : float
-        Time of the vehicle over which alarms could be raised, of the observer that watched longest.
-    messages : int
-        Messages of the recording that mattered.
-    thresholds : Mapping[tuple[str, str], float]
-        Alarm thresholds by observer and channel.
-    lacking : Mapping[str, tuple[str, ...]]
-        Messages that the recording lacks, of each observer that therefore could watch nothing.
-    watches : Mapping[str, Watch]
-        How each observer fared.
-    foreign : int
-        Messages of other systems or components, which were left out.
-    mismatch : str | None
-        What says that the vehicle is another than the profile's; None where nothing does.
-    outside : Mapping[str, tuple[float, str]]
-        For how long, seconds, and how far the flight lay outside of those that were fitted, by observer.
-    conditions : tuple[FlightCondition, ...]
-        What was seen that is no fault, in its order.
-    """
-
-    events: tuple[AlarmEvent, ...]
-    traces: tuple[Trace, ...]
-    samples: int
-    evidence: int
-    watched_s: float
-    messages: int
-    thresholds: Mapping[tuple[str, str], float]
+    events: tuple[AlarmEvent, ...]  # in order
+    traces: tuple[Trace, ...]  # estimates by observer; empty where they were not asked for
+    samples: int  # samples the observers took
+    evidence: int  # samples among them from which alarms could be raised
+    watched_s: float  # time of the vehicle over which alarms could be raised, of the observer that watched longest
+    messages: int  # messages of the recording that mattered
+    thresholds: Mapping[tuple[str, str], float]  # alarm thresholds by observer and channel
+    # messages that the recording lacks, of each observer that therefore could watch nothing
     lacking: Mapping[str, tuple[str, ...]]
-    watches: Mapping[str, Watch]
-    foreign: int
-    mismatch: str | None = None
+    watches: Mapping[str, Watch]  # how each observer fared
+    foreign: int  # messages of other systems or components, which were left out
+    mismatch: str | None = None  # what says that the vehicle is another than the profile's; None where nothing does
+    # for how long, seconds, and how far the flight lay outside of those that were fitted, by observer
     outside: Mapping[str, tuple[float, str]] = field(default_factory=dict)
-    conditions: tuple[FlightCondition, ...] = ()
+    conditions: tuple[FlightCondition, ...] = ()  # what was seen that is no fault, in its order
 
     def unwatched(self, end_ns: int) -> list[tuple[str, float]]:
         """Return what of the flight was not watched, and for how long, seconds; the recording ends at ``end_ns``."""

@@ -58,29 +58,20 @@ sure, never wrong: a matter of time alone (measured: .6 ms for the norm of a sys
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Augmentation:
-    """A left inverse of [T; Cb], and what is left free in it.
+    """A left inverse of [T; Cb], and what is left free in it."""
 
-    Parameters
-    ----------
-    L1, F, L_q, F_q : FloatArray
-        (nz, n), (nz, p), (nq, n) and (nq, p).
-    W1, W2 : FloatArray
-        Basis (k, n + p) of the left null space of [T; Cb].
-    A_z, C_b : FloatArray
-        (n, nz) and (p, nz).
-    noise_once : bool
-        Whether its error system is that of [w; df_a], in which noise counts once.
-    """
-
+    # (nz, n), (nz, p), (nq, n) and (nq, p)
     L1: FloatArray
     F: FloatArray
     L_q: FloatArray
     F_q: FloatArray
+    # basis (k, n + p) of the left null space of [T; Cb]
     W1: FloatArray
     W2: FloatArray
+    # (n, nz) and (p, nz)
     A_z: FloatArray
     C_b: FloatArray
-    noise_once: bool = False
+    noise_once: bool = False  # whether its error system is that of [w; df_a], in which noise counts once
 
     def moved(self, Y: FloatArray) -> Augmentation:
         """Return the left inverse with Y [W1 W2] added, Y (nz + nq, k)."""
@@ -96,49 +87,26 @@ class Augmentation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorModel:
-    """The error system before injection, with weights applied to its inputs.
+    """The error system before injection, with weights applied to its inputs."""
 
-    Parameters
-    ----------
-    name : str
-        The plant's name, for errors.
-    slopes : FloatArray
-        Slope of each argument of each nonlinearity at each vertex (vertices, arguments), or at some of them.
-    A : FloatArray
-        A_a at each of these (vertices, na, na), na = nz + a1, or nz + 2 a1 with integrators of order 2.
-    mean : FloatArray
-        A_a at the mean slopes (na, na).
-    G, H : FloatArray
-        Gs (na, k) and Hs (k, na) of the k slopes that vary.
-    B, C, D : FloatArray
-        (na, nw), (p, na) and (p, nw); columns of B and D: [w; w+; df_a], each in units of its scale, or [w; df_a] where
-        noise counts once.
-    direct : FloatArray
-        What w makes of zeta~ beside the states (nz, nw): -F D where noise counts once, else zero.
-    into : FloatArray
-        [L1; L_q] E_f (na, a1).
-    weights : FloatArray
-        One over the error that matters, for each entry of e (nz + a1,).
-    a1 : int
-        Number of actuator faults: the last entries of e, and their errors after zeta~ in [zeta~; z].
-    free : FreeRows
-        What a moved left inverse adds.
-    """
-
-    name: str
+    name: str  # the plant's name, for errors
+    # slope of each argument of each nonlinearity at each vertex (vertices, arguments), or at some of them
     slopes: FloatArray
-    A: FloatArray
-    mean: FloatArray
+    A: FloatArray  # A_a at each of these (vertices, na, na), na = nz + a1, or nz + 2 a1 with integrators of order 2
+    mean: FloatArray  # A_a at the mean slopes (na, na)
+    # Gs (na, k) and Hs (k, na) of the k slopes that vary
     G: FloatArray
     H: FloatArray
+    # (na, nw), (p, na) and (p, nw); columns of B and D: [w; w+; df_a], each in units of its scale, or [w; df_a] where
+    # noise counts once
     B: FloatArray
     C: FloatArray
     D: FloatArray
-    direct: FloatArray
-    into: FloatArray
-    weights: FloatArray
-    a1: int
-    free: FreeRows
+    direct: FloatArray  # what w makes of zeta~ beside the states (nz, nw): -F D where noise counts once, else zero
+    into: FloatArray  # [L1; L_q] E_f (na, a1)
+    weights: FloatArray  # one over the error that matters, for each entry of e (nz + a1,)
+    a1: int  # number of actuator faults: the last entries of e, and their errors after zeta~ in [zeta~; z]
+    free: FreeRows  # what a moved left inverse adds
 
     @property
     def sizes(self) -> FloatArray:

@@ -215,36 +215,18 @@ class FaultPair:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """The findings about a plant.
+    """The findings about a plant."""
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant as it was looked at.
-    estimability : Estimability
-        The largest sets of faults that can be estimated together and the smallest that cannot.
-    explanations : tuple[Explanation, ...]
-        Those problems with what mends them, at most the first 20.
-    sensors : tuple[str, ...]
-        States of which one additional sensor would make all faults estimable together.
-    pairs : tuple[Pair, ...]
-        Pairs that cannot be told apart.
-    late : tuple[str, ...]
-        Actuator faults that, in some set, are not seen in the first sample after they act (Cb L1 E_f lacks rank).
-    zeros : tuple[Zero, ...]
-        Invariant zeros.
-    structure : dict[str, dict[str, Effect]]
-        Effect of each fault on each output: a constant fault shifts it (steady), moves it without end (ramp) or
-        does not show in it although a change does (change).
-    """
-
-    plant: Plant
-    estimability: Estimability
-    explanations: tuple[Explanation, ...]
-    sensors: tuple[str, ...]
-    pairs: tuple[FaultPair, ...]
+    plant: Plant  # the plant as it was looked at
+    estimability: Estimability  # the largest sets of faults that can be estimated together and the smallest that cannot
+    explanations: tuple[Explanation, ...]  # those problems with what mends them, at most the first 20
+    sensors: tuple[str, ...]  # states of which one additional sensor would make all faults estimable together
+    pairs: tuple[FaultPair, ...]  # pairs that cannot be told apart
+    # actuator faults that, in some set, are not seen in the first sample after they act (Cb L1 E_f lacks rank)
     late: tuple[str, ...]
-    zeros: tuple[Zero, ...]
+    zeros: tuple[Zero, ...]  # invariant zeros
+    # effect of each fault on each output: a constant fault shifts it (steady), moves it without end (ramp) or does not
+    # show in it although a change does (change)
     structure: dict[str, dict[str, Effect]]
 
     @property

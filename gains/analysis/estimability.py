@@ -53,46 +53,24 @@ both loses it everywhere.
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """A smallest set of faults that cannot be estimated together, and why.
+    """A smallest set of faults that cannot be estimated together, and why."""
 
-    Parameters
-    ----------
-    faults : tuple[str, ...]
-        The set; empty where the plant itself hides a mode.
-    condition : Condition
-        The existence condition that fails.
-    mode : complex
-        The hidden mode in the continuous sense, radians per second (0: constant).
-    states : tuple[str, ...]
-        States that move with the faults while every output is zero, the largest first.
-    at_every_frequency : bool
-        Whether other motions of the faults hide in the same way, not this mode alone.
-    """
-
-    faults: tuple[str, ...]
-    condition: Condition
-    mode: complex
-    states: tuple[str, ...]
-    at_every_frequency: bool
+    faults: tuple[str, ...]  # the set; empty where the plant itself hides a mode
+    condition: Condition  # the existence condition that fails
+    mode: complex  # the hidden mode in the continuous sense, radians per second (0: constant)
+    states: tuple[str, ...]  # states that move with the faults while every output is zero, the largest first
+    at_every_frequency: bool  # whether other motions of the faults hide in the same way, not this mode alone
 
 
 @dataclass(frozen=True, slots=True)
 class Estimability:
-    """What can be estimated.
+    """What can be estimated."""
 
-    Parameters
-    ----------
-    sets : tuple[tuple[str, ...], ...]
-        The largest sets of faults that can be estimated together, each in the order of the model.
-    problems : tuple[Problem, ...]
-        The smallest sets that cannot.
-    complete : bool
-        Whether all sets were looked at; else the search stopped after ``LARGEST_TEST_COUNT`` tests of a set at a
-        combination of slopes, and there may be more of both.
-    """
-
+    # the largest sets of faults that can be estimated together, each in the order of the model
     sets: tuple[tuple[str, ...], ...]
-    problems: tuple[Problem, ...]
+    problems: tuple[Problem, ...]  # the smallest sets that cannot
+    # whether all sets were looked at; else the search stopped after ``LARGEST_TEST_COUNT`` tests of a set at a
+    # combination of slopes, and there may be more of both
     complete: bool = True
 
 

@@ -29,45 +29,22 @@ where the fit found no sensor noise."""
 
 @dataclass(frozen=True, slots=True)
 class Excitation:
-    """Whether an actuator was learned well enough to be watched.
+    """Whether an actuator was learned well enough to be watched."""
 
-    Parameters
-    ----------
-    actuator : str
-        Its channel name.
-    excited : bool
-        The verdict.
-    advice : str
-        What was missing and what to fly or drive; empty where nothing was.
-    """
-
-    actuator: str
-    excited: bool
-    advice: str
+    actuator: str  # its channel name
+    excited: bool  # the verdict
+    advice: str  # what was missing and what to fly or drive; empty where nothing was
 
 
 @dataclass(frozen=True, slots=True)
 class AxesFit:
-    """What recordings say about such a vehicle.
+    """What recordings say about such a vehicle."""
 
-    Parameters
-    ----------
-    rate_hz : float
-        Samples per second of the model.
-    inputs : tuple[str, ...]
-        Names of u.
-    axes : tuple[AxisFit, ...]
-        One for each output, in the order of y.
-    excitation : tuple[Excitation, ...]
-        One for each axis' actuator.
-    curves : Mapping[str, float]
-        Parameters of the transform that bend the actuators' effects.
-    """
-
-    rate_hz: float
-    inputs: tuple[str, ...]
-    axes: tuple[AxisFit, ...]
-    excitation: tuple[Excitation, ...]
+    rate_hz: float  # samples per second of the model
+    inputs: tuple[str, ...]  # names of u
+    axes: tuple[AxisFit, ...]  # one for each output, in the order of y
+    excitation: tuple[Excitation, ...]  # one for each axis' actuator
+    # parameters of the transform that bend the actuators' effects
     curves: Mapping[str, float] = field(default_factory=dict)
 
     def parameters(self) -> dict[str, float]:

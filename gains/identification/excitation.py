@@ -31,25 +31,14 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class ExcitationVerdict:
-    """What is known about one parameter.
-
-    Parameters
-    ----------
-    name : str
-        The parameter.
-    value, standard_error : float
-        Its estimate and how far that may be off, in its own unit.
-    determined : bool
-        Whether the recordings determine it.
-    note : str
-        What is wrong and what would mend it; empty where nothing is.
-    """
+    """What is known about one parameter."""
 
     name: str
+    # its estimate and how far that may be off, in its own unit
     value: float
     standard_error: float
-    determined: bool
-    note: str
+    determined: bool  # whether the recordings determine it
+    note: str  # what is wrong and what would mend it; empty where nothing is
 
 
 def excitation_verdicts(

@@ -54,30 +54,15 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeModel:
-    """A model file with free parameters.
+    """A model file with free parameters."""
 
-    Parameters
-    ----------
-    path : str
-        The file, for errors.
-    document : Mapping[str, Any]
-        Its parsed TOML without the tables below.
-    parameters : tuple[Parameter, ...]
-        The free parameters, in the order of the file: the values of all methods are in this order.
-    fixed : Mapping[str, float]
-        The other parameters.
-    file : TomlFile
-        The file, for its tables ``channels`` and ``phase``.
-    example : Plant
-        The plant at the start values.
-    """
-
-    path: str
-    document: Mapping[str, Any]
+    path: str  # the file, for errors
+    document: Mapping[str, Any]  # its parsed TOML without the tables below
+    # the free parameters, in the order of the file: the values of all methods are in this order
     parameters: tuple[Parameter, ...]
-    fixed: Mapping[str, float]
-    file: TomlFile
-    example: Plant
+    fixed: Mapping[str, float]  # the other parameters
+    file: TomlFile  # the file, for its tables ``channels`` and ``phase``
+    example: Plant  # the plant at the start values
 
     @property
     def start(self) -> FloatArray:

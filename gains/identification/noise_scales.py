@@ -43,22 +43,13 @@ _DOUBLINGS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseScales:
-    """The most likely scales and the Kalman filter that belongs to them.
+    """The most likely scales and the Kalman filter that belongs to them."""
 
-    Parameters
-    ----------
-    disturbances, noises : FloatArray
-        q (number of disturbances,) and r (number of noises,); what nothing in the data calls for is next to zero.
-    K : FloatArray
-        Filter gain (n, p): x^ + K e is the state after the measurement.
-    S : FloatArray
-        Covariance of the innovations (p, p).
-    """
-
+    # q (number of disturbances,) and r (number of noises,); what nothing in the data calls for is next to zero
     disturbances: FloatArray
     noises: FloatArray
-    K: FloatArray
-    S: FloatArray
+    K: FloatArray  # filter gain (n, p): x^ + K e is the state after the measurement
+    S: FloatArray  # covariance of the innovations (p, p)
 
 
 def fit_noise_scales(A: FloatArray, C: FloatArray, E: FloatArray, D: FloatArray, residuals: FloatArray) -> NoiseScales:

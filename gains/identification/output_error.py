@@ -64,72 +64,38 @@ _EVALUATIONS = 30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedData:
-    """Recorded windows beside what the fitted model says about them.
+    """Recorded windows beside what the fitted model says about them."""
 
-    Parameters
-    ----------
-    measured, simulated : FloatArray
-        Outputs (W, T, p); the simulation knows no measurement but for its initial state.
-    innovations : FloatArray
-        One-step prediction errors (W, T, p).
-    states : FloatArray
-        Predicted states (W, T, n).
-    u : FloatArray
-        Inputs, delayed (W, T, s).
-    simulated_share, predicted_share : FloatArray
-        Share explained of each output's variance by the simulation, and of its change from sample to sample by the
-        one-step prediction (p,).
-    """
-
+    # outputs (W, T, p); the simulation knows no measurement but for its initial state
     measured: FloatArray
     simulated: FloatArray
-    innovations: FloatArray
-    states: FloatArray
-    u: FloatArray
+    innovations: FloatArray  # one-step prediction errors (W, T, p)
+    states: FloatArray  # predicted states (W, T, n)
+    u: FloatArray  # inputs, delayed (W, T, s)
+    # share explained of each output's variance by the simulation, and of its change from sample to sample by the
+    # one-step prediction (p,)
     simulated_share: FloatArray
     predicted_share: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutputErrorFit:
-    """What recordings say about a model with free parameters.
-
-    Parameters
-    ----------
-    model : FreeModel
-        The model.
-    rate_hz : float
-        Samples per second of the recordings.
-    theta, covariance : FloatArray
-        Estimates (k,) and their covariance (k, k).
-    verdicts : tuple[Verdict, ...]
-        Whether the recordings determine each parameter.
-    delay : int
-        Transport delay of the inputs, samples.
-    hold : {"first", "zero"}
-        Whether inputs fit better as ramps between samples or as steps.
-    signals : Plant
-        The plant at theta with the disturbances and noises that were fitted, at their most likely scales.
-    noise : NoiseScales
-        Those scales with the Kalman gain.
-    training, validation : FittedData
-        The windows it was fitted on, and windows kept back.
-    residuals : tuple[ResidualStatistics, ...]
-        Statistics of the validation's innovations, one per output.
-    """
+    """What recordings say about a model with free parameters."""
 
     model: FreeModel
-    rate_hz: float
+    rate_hz: float  # samples per second of the recordings
+    # estimates (k,) and their covariance (k, k)
     theta: FloatArray
     covariance: FloatArray
-    verdicts: tuple[ExcitationVerdict, ...]
-    delay: int
-    hold: Hold
-    signals: Plant
-    noise: NoiseScales
+    verdicts: tuple[ExcitationVerdict, ...]  # whether the recordings determine each parameter
+    delay: int  # transport delay of the inputs, samples
+    hold: Hold  # whether inputs fit better as ramps between samples or as steps
+    signals: Plant  # the plant at theta with the disturbances and noises that were fitted, at their most likely scales
+    noise: NoiseScales  # those scales with the Kalman gain
+    # the windows it was fitted on, and windows kept back
     training: FittedData
     validation: FittedData
-    residuals: tuple[ResidualStatistics, ...]
+    residuals: tuple[ResidualStatistics, ...]  # statistics of the validation's innovations, one per output
 
 
 def identify(

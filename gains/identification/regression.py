@@ -59,76 +59,42 @@ _SMALLEST = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class AxisModel:
-    """What is looked for: one output, the actuator that moves it, and what else does.
+    """What is looked for: one output, the actuator that moves it, and what else does."""
 
-    Parameters
-    ----------
-    output, actuator : str
-        Names of y and u.
-    others : tuple[str, ...]
-        Names of the z_j.
-    rivals : tuple[str, ...]
-        Other actuators whose effect on y cannot be ruled out: no part of the model, but b is only as certain as it
-        is with them in it. An actuator that moves in step with a rival is not known.
-    dynamic : bool
-        Whether y has a memory; otherwise a = 0, as for a specific force.
-    offset : bool
-        Whether there is a constant c.
-    """
-
+    # names of y and u
     output: str
     actuator: str
-    others: tuple[str, ...]
+    others: tuple[str, ...]  # names of the z_j
+    # other actuators whose effect on y cannot be ruled out: no part of the model, but b is only as certain as it is
+    # with them in it. An actuator that moves in step with a rival is not known.
     rivals: tuple[str, ...] = ()
-    dynamic: bool = True
-    offset: bool = True
+    dynamic: bool = True  # whether y has a memory; otherwise a = 0, as for a specific force
+    offset: bool = True  # whether there is a constant c
 
 
 @dataclass(frozen=True, slots=True)
 class AxisFit:
-    """What the recordings say about one output.
+    """What the recordings say about one output."""
 
-    Parameters
-    ----------
-    model : AxisModel
-        What was looked for.
-    a, b, c : float
-        Coefficients per step; b is the actuator's.
-    effects : FloatArray
-        b_j of ``model.others``.
-    b_error : float
-        Standard error of b: for residuals as coloured as they are, rivals that may act, and timings that fit as well.
-    lag_s, delay_s : float
-        The actuator's timing.
-    residual_std : float
-        One-step prediction error, in units of y.
-    disturbance_std, noise_std : float
-        Its two parts, in units of y: w per step, n.
-    explained : float
-        Share of the variance of what ``a`` and the others leave of y(k+1) that the actuator explains.
-    whiteness : float
-        Correlation of the residual with that one step before; near zero for a model that leaves nothing.
-    moved : float
-        Standard deviation of the actuator's effect.
-    samples : int
-        Number of one-step equations.
-    """
-
-    model: AxisModel
+    model: AxisModel  # what was looked for
+    # coefficients per step; b is the actuator's
     a: float
     b: float
     c: float
-    effects: FloatArray
+    effects: FloatArray  # b_j of ``model.others``
+    # standard error of b: for residuals as coloured as they are, rivals that may act, and timings that fit as well
     b_error: float
+    # the actuator's timing
     lag_s: float
     delay_s: float
-    residual_std: float
+    residual_std: float  # one-step prediction error, in units of y
+    # its two parts, in units of y: w per step, n
     disturbance_std: float
     noise_std: float
-    explained: float
-    whiteness: float
-    moved: float
-    samples: int
+    explained: float  # share of the variance of what ``a`` and the others leave of y(k+1) that the actuator explains
+    whiteness: float  # correlation of the residual with that one step before; near zero for a model that leaves nothing
+    moved: float  # standard deviation of the actuator's effect
+    samples: int  # number of one-step equations
 
     @property
     def t_value(self) -> float:

@@ -23,29 +23,14 @@ _SKEWED = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualStatistics:
-    """One output's residual.
+    """One output's residual."""
 
-    Parameters
-    ----------
-    name : str
-        The output.
-    rms : float
-        Its size, in the output's unit.
-    autocorrelation : FloatArray
-        Normalised, at lags 1, 2, ... (L,).
-    bound : float
-        What white residuals stay within at 99 of 100 lags.
-    ljung_box_p : float
-        Chance that white residuals correlate as much (Ljung and Box 1978).
-    skewness, excess_kurtosis : float
-        Both 0 for a normal distribution.
-    """
-
-    name: str
-    rms: float
-    autocorrelation: FloatArray
-    bound: float
-    ljung_box_p: float
+    name: str  # of the output
+    rms: float  # its size, in the output's unit
+    autocorrelation: FloatArray  # normalised, at lags 1, 2, ... (L,)
+    bound: float  # what white residuals stay within at 99 of 100 lags
+    ljung_box_p: float  # chance that white residuals correlate as much (Ljung and Box 1978)
+    # both 0 for a normal distribution
     skewness: float
     excess_kurtosis: float
 

@@ -33,34 +33,19 @@ _FUNCTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dynamics:
-    """A plant's equations at given parameters, in the symbols of :mod:`gains.plants.plant`.
+    """A plant's equations at given parameters, in the symbols of :mod:`gains.plants.plant`."""
 
-    Parameters
-    ----------
-    rate_hz : float | None
-        Rate of a discrete plant; None in continuous time.
-    A, B, C, c, G : FloatArray
-        (n, n), (n, s), (p, n), (n,), (n, m).
-    rows : tuple[FloatArray, ...]
-        H_i of the m nonlinearities.
-    functions : tuple[Vectorised, ...]
-        g_i, of the arguments H_i x followed by the parameters.
-    parameters : FloatArray
-        Their values (k,).
-    curves : FloatArray
-        Coefficients of u, u^2, ... (s, degree).
-    """
-
-    rate_hz: float | None
+    rate_hz: float | None  # rate of a discrete plant; None in continuous time
+    # (n, n), (n, s), (p, n), (n,), (n, m)
     A: FloatArray
     B: FloatArray
     C: FloatArray
     c: FloatArray
     G: FloatArray
-    rows: tuple[FloatArray, ...]
-    functions: tuple[Vectorised, ...]
-    parameters: FloatArray
-    curves: FloatArray
+    rows: tuple[FloatArray, ...]  # H_i of the m nonlinearities
+    functions: tuple[Vectorised, ...]  # g_i, of the arguments H_i x followed by the parameters
+    parameters: FloatArray  # their values (k,)
+    curves: FloatArray  # coefficients of u, u^2, ... (s, degree)
 
 
 def compile_vectorised(node: Node) -> Vectorised:

@@ -85,35 +85,17 @@ class _Slope:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Terms:
-    """The plant's part of the inequality; zeta~ and fa~ in units of the errors that matter, y in its own size.
+    """The plant's part of the inequality; zeta~ and fa~ in units of the errors that matter, y in its own size."""
 
-    Parameters
-    ----------
-    L1_A : FloatArray
-        [L1 A_z, L1 E_f] with the constant slopes (nz, na).
-    B, D, D_rate : FloatArray
-        [L1 E, -F D, 0] (nz, nw), [D, 0, 0] and [0, D, 0] (p, nw).
-    C : FloatArray
-        [Cb, 0] (p, na).
-    rate : FloatArray
-        [0, 0, rates of the faults] (a1, nw).
-    slopes : tuple[_Slope, ...]
-        The slopes that vary.
-    vertices : int
-        Number of their vertices.
-    outputs : FloatArray
-        Size of each output (p,).
-    """
-
-    L1_A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
-    D_rate: FloatArray
-    rate: FloatArray
-    slopes: tuple[_Slope, ...]
-    vertices: int
-    outputs: FloatArray
+    L1_A: FloatArray  # [L1 A_z, L1 E_f] with the constant slopes (nz, na)
+    B: FloatArray  # [L1 E, -F D, 0] (nz, nw)
+    C: FloatArray  # [Cb, 0] (p, na)
+    D: FloatArray  # [D, 0, 0] (p, nw)
+    D_rate: FloatArray  # [0, D, 0] (p, nw)
+    rate: FloatArray  # [0, 0, rates of the faults] (a1, nw)
+    slopes: tuple[_Slope, ...]  # the slopes that vary
+    vertices: int  # number of their vertices
+    outputs: FloatArray  # size of each output (p,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

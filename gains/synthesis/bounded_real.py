@@ -63,72 +63,39 @@ _INSIDE = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inequality:
-    """The error system in the coordinates of the solver, and what is asked of it.
+    """The error system in the coordinates of the solver, and what is asked of it."""
 
-    Parameters
-    ----------
-    name : str
-        The plant's name, for errors.
-    a1 : int
-        Number of actuator faults.
-    pole_radius, gain_weight, h2 : float
-        As for :func:`gains.synthesis.convex.design_convex`.
-    P : FloatArray | None
-        The Lyapunov matrix where it is given, in the user's units.
-    multipliers : bool
-        Whether one inequality stands for all vertices.
-    gain_bound, looseness : float
-        Bound of the entries of the gains in the user's units, infinite without one, and by how much [Kb; L_i] may
-        exceed it.
-    coordinates : Coordinates
-        Those of the solver.
-    direct : FloatArray
-        Size of L_p in the user's units, for outputs in the solver's (a1,).
-    into : FloatArray
-        [L1; L_q] E_f of the pseudo-inverse (na, a1), in the user's units.
-    free : FreeRows
-        What Yb multiplies, its rows of size one; none where the left inverse stays the pseudo-inverse.
-    basis : FloatArray
-        Those rows by the model's (k, rows).
-    A, B, C, D : FloatArray
-        A_a at every vertex, or with multipliers at the mean alone (vertices, na, na); the reduced B and D.
-    C_x, C_f0 : FloatArray
-        The rows of W S / sqrt(mu of the coordinates) for zeta~ and for z.
-    D_x : FloatArray
-        What the reduced columns make of these errors zeta~ at once; zero but where noise counts once.
-    G, H : FloatArray
-        The slopes' Gs (na, k) and Hs (k, na), each column and its row of one length; k = 0 without multipliers.
-    balance : FloatArray
-        What brought them there: lambda of these is ``balance`` times that of the model's (k,).
-    omega : float
-        Unit of the rates of a continuous error system, 1/s; one in discrete time.
-    """
-
-    name: str
-    a1: int
+    name: str  # the plant's name, for errors
+    a1: int  # number of actuator faults
+    # as for :func:`gains.synthesis.convex.design_convex`
     pole_radius: float
     gain_weight: float
     h2: float
-    P: FloatArray | None
-    multipliers: bool
+    P: FloatArray | None  # the Lyapunov matrix where it is given, in the user's units
+    multipliers: bool  # whether one inequality stands for all vertices
+    # bound of the entries of the gains in the user's units, infinite without one, and by how much [Kb; L_i] may exceed
+    # it
     gain_bound: float
     looseness: float
-    coordinates: Coordinates
-    direct: FloatArray
-    into: FloatArray
-    free: FreeRows
-    basis: FloatArray
+    coordinates: Coordinates  # those of the solver
+    direct: FloatArray  # size of L_p in the user's units, for outputs in the solver's (a1,)
+    into: FloatArray  # [L1; L_q] E_f of the pseudo-inverse (na, a1), in the user's units
+    free: FreeRows  # what Yb multiplies, its rows of size one; none where the left inverse stays the pseudo-inverse
+    basis: FloatArray  # those rows by the model's (k, rows)
+    # A_a at every vertex, or with multipliers at the mean alone (vertices, na, na); the reduced B and D
     A: FloatArray
     B: FloatArray
     C: FloatArray
     D: FloatArray
+    # the rows of W S / sqrt(mu of the coordinates) for zeta~ and for z
     C_x: FloatArray
     C_f0: FloatArray
-    D_x: FloatArray
+    D_x: FloatArray  # what the reduced columns make of these errors zeta~ at once; zero but where noise counts once
+    # the slopes' Gs (na, k) and Hs (k, na), each column and its row of one length; k = 0 without multipliers
     G: FloatArray
     H: FloatArray
-    balance: FloatArray
-    omega: float
+    balance: FloatArray  # what brought them there: lambda of these is ``balance`` times that of the model's (k,)
+    omega: float  # unit of the rates of a continuous error system, 1/s; one in discrete time
 
 
 @dataclass(frozen=True, slots=True, eq=False)

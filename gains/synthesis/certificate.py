@@ -53,42 +53,29 @@ _UNIT_ROUNDOFF = np.finfo(np.float64).eps / 2.0
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """What could be verified about a design.
+    """What could be verified about a design."""
 
-    Parameters
-    ----------
-    holds : bool
-        The inequality holds with a margin, the error system is stable, its norm is within the bound, and poles and
-        gains are within theirs.
-    proof : {"vertices", "multipliers"}
-        Whether the inequality was looked at for every slope vertex, or that with multipliers for all slopes at once.
-    slopes : int
-        At how many combinations of slopes the norm and the poles were computed: every vertex, or with multipliers
-        the mean and at most ``SAMPLE_COUNT`` vertices.
-    margin : float
-        Smallest eigenvalue, over the vertices, of the inequality (and of P in continuous time) scaled to unit diagonal,
-        less a bound on the rounding errors of forming and decomposing it.
-    norm : float
-        H-infinity norm of the scaled error system, worst of those slopes: a gain that it has, exact to nine digits;
-        infinite where it is unstable.
-    norm_hz : float
-        Frequency of that peak; infinite where the direct path of a continuous design has it.
-    poles_max, poles_min : float
-        Largest and smallest pole of the error system over those slopes: by size, or in continuous time by its real
-        part, rad/s.
-    h2 : float | None
-        Bound of the H2 norm of the scaled discrete error system at all slopes, sqrt(trace(B_e^T P B_e + D_e^T D_e)); it
-        is proven where the certificate holds, because P - A_e^T P A_e - C_e^T C_e >= 0 then.
-    """
-
+    # the inequality holds with a margin, the error system is stable, its norm is within the bound, and poles and gains
+    # are within theirs
     holds: bool
+    # whether the inequality was looked at for every slope vertex, or that with multipliers for all slopes at once
     proof: Literal["vertices", "multipliers"]
+    # at how many combinations of slopes the norm and the poles were computed: every vertex, or with multipliers the
+    # mean and at most ``SAMPLE_COUNT`` vertices
     slopes: int
+    # smallest eigenvalue, over the vertices, of the inequality (and of P in continuous time) scaled to unit diagonal,
+    # less a bound on the rounding errors of forming and decomposing it
     margin: float
+    # H-infinity norm of the scaled error system, worst of those slopes: a gain that it has, exact to nine digits;
+    # infinite where it is unstable
     norm: float
-    norm_hz: float
+    norm_hz: float  # frequency of that peak; infinite where the direct path of a continuous design has it
+    # largest and smallest pole of the error system over those slopes: by size, or in continuous time by its real part,
+    # rad/s
     poles_max: float
     poles_min: float
+    # bound of the H2 norm of the scaled discrete error system at all slopes, sqrt(trace(B_e^T P B_e + D_e^T D_e)); it
+    # is proven where the certificate holds, because P - A_e^T P A_e - C_e^T C_e >= 0 then
     h2: float | None = None
 
 

@@ -39,43 +39,20 @@ from gains.synthesis.gains_file import Gains
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContinuousObserver:
-    """A linear observer with scalar nonlinearities in continuous time.
+    """A linear observer with scalar nonlinearities in continuous time."""
 
-    Parameters
-    ----------
-    plant : Plant
-        The continuous plant it estimates; v is its input effect, g its nonlinearities.
-    method : str
-        The synthesis.
-    step : FloatArray
-        [A, B_y] (ns, ns + p).
-    output : FloatArray
-        [C, D_y] (nz + a1 + p, ns + p): [x^; f_s^; fa^; yt].
-    into : FloatArray
-        M (ns, n): how s moves with what drives the plant's states.
-    start : FloatArray
-        s at a restart from y (ns, p).
-    sqrt_mu : float | None
-        The bound its synthesis reports, None where it reports none.
-    matrices : ObserverMatrices | None
-        The matrices of the paper's structure where the observer has it.
-    solve_s, total_s : float
-        Time in the solver and in all, seconds.
-    notes : tuple[str, ...]
-        What a person should know about this observer.
-    """
-
-    plant: Plant
-    method: str
-    step: FloatArray
-    output: FloatArray
-    into: FloatArray
-    start: FloatArray
-    sqrt_mu: float | None = None
-    matrices: ObserverMatrices | None = None
+    plant: Plant  # the continuous plant it estimates; v is its input effect, g its nonlinearities
+    method: str  # the synthesis
+    step: FloatArray  # [A, B_y] (ns, ns + p)
+    output: FloatArray  # [C, D_y] (nz + a1 + p, ns + p): [x^; f_s^; fa^; yt]
+    into: FloatArray  # M (ns, n): how s moves with what drives the plant's states
+    start: FloatArray  # s at a restart from y (ns, p)
+    sqrt_mu: float | None = None  # the bound its synthesis reports, None where it reports none
+    matrices: ObserverMatrices | None = None  # the matrices of the paper's structure where the observer has it
+    # time in the solver and in all, seconds
     solve_s: float = 0.0
     total_s: float = 0.0
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what a person should know about this observer
 
     @property
     def A(self) -> FloatArray:

@@ -16,25 +16,18 @@ FaultState = Literal["integral", "error"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObserverMatrices:
-    """Matrices of the observer, symbols as in :mod:`gains.analysis.augment` (x' for x+ in continuous time).
+    """Matrices of the observer, symbols as in :mod:`gains.analysis.augment` (x' for x+ in continuous time)."""
 
-    Parameters
-    ----------
-    K, L_i, L_p : FloatArray
-        (nz, p), (a1, p) and (a1, p); integrators of order 2 have L_i = [L_i1; L_i2] (2 a1, p).
-    L1, F, N, J : FloatArray
-        (nz, n), (nz, p), (nz, nz) and (nz, p).
-    L_q, F_q : FloatArray
-        (nq, n) and (nq, p); (0, 0) where q is moved by innovations alone.
-    """
-
+    # (nz, p), (a1, p) and (a1, p); integrators of order 2 have L_i = [L_i1; L_i2] (2 a1, p)
     K: FloatArray
     L_i: FloatArray
     L_p: FloatArray
+    # (nz, n), (nz, p), (nz, nz) and (nz, p)
     L1: FloatArray
     F: FloatArray
     N: FloatArray
     J: FloatArray
+    # (nq, n) and (nq, p); (0, 0) where q is moved by innovations alone
     L_q: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     F_q: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -59,52 +52,29 @@ def observer_matrices(augmentation: Augmentation, K: FloatArray, L_i: FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """Gains of one observer, discrete or continuous, and what proves them.
+    """Gains of one observer, discrete or continuous, and what proves them."""
 
-    Parameters
-    ----------
-    method : str
-        ``"convex"``, ``"theorem1"`` or ``"theorem2"``.
-    rate_hz : float | None
-        Samples per second; None in continuous time.
-    gains : ObserverMatrices
-        K, L_i, L_p and what follows from them.
-    P : FloatArray
-        Matrix of the bounded-real inequality (na, na), na = nz + a1 times the order of the integrators.
-    mu : float
-        The bound: |e|^2 summed (or integrated) over time is at most mu times that of the scaled [w; w+; df_a], or of
-        [w; df_a] where noise counts once.
-    multipliers : FloatArray | None
-        Multipliers of the slopes that vary (2, k) where they prove the bound, and the pole radius, in place of the
-        vertices.
-    pole_radius, gain_bound : float
-        What was asked of a discrete design: the largest size of a pole, and of an entry of the gains.
-    gain_weight : float
-        The price of the gains that the design was found with.
-    fault_state : {"integral", "error"}
-        Coordinates of P: [zeta~; z] with z = f_a - q of the convex synthesis, or [zeta~; fa~] of the paper.
-    noise_once : bool
-        Whether the bound is against [w; df_a]: F then moves the sensor faults' estimates alone.
-    solve_s, total_s : float
-        Time in the solver and in all, seconds.
-    notes : tuple[str, ...]
-        What a person should know about the faults of this model.
-    """
-
-    method: str
-    rate_hz: float | None
-    gains: ObserverMatrices
-    P: FloatArray
+    method: str  # ``"convex"``, ``"theorem1"`` or ``"theorem2"``
+    rate_hz: float | None  # samples per second; None in continuous time
+    gains: ObserverMatrices  # K, L_i, L_p and what follows from them
+    P: FloatArray  # matrix of the bounded-real inequality (na, na), na = nz + a1 times the order of the integrators
+    # the bound: |e|^2 summed (or integrated) over time is at most mu times that of the scaled [w; w+; df_a], or of [w;
+    # df_a] where noise counts once
     mu: float
+    # multipliers of the slopes that vary (2, k) where they prove the bound, and the pole radius, in place of the
+    # vertices
     multipliers: FloatArray | None = None
+    # what was asked of a discrete design: the largest size of a pole, and of an entry of the gains
     pole_radius: float = 1.0
     gain_bound: float = math.inf
-    gain_weight: float = 0.0
+    gain_weight: float = 0.0  # the price of the gains that the design was found with
+    # coordinates of P: [zeta~; z] with z = f_a - q of the convex synthesis, or [zeta~; fa~] of the paper
     fault_state: FaultState = "integral"
-    noise_once: bool = False
+    noise_once: bool = False  # whether the bound is against [w; df_a]: F then moves the sensor faults' estimates alone
+    # time in the solver and in all, seconds
     solve_s: float = 0.0
     total_s: float = 0.0
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what a person should know about the faults of this model
 
     @property
     def domain(self) -> Domain:

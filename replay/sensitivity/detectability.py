@@ -46,101 +46,54 @@ TrialTrack = Callable[..., Iterable[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """What to try.
+    """What to try."""
 
-    Parameters
-    ----------
-    channels : tuple[str, ...]
-        Alarm channels; empty takes all of the profile.
-    kinds : tuple[str, ...] | None
-        Kinds of fault; None takes loss for actuators, bias and ramp for sensors.
-    sizes : tuple[float, ...] | None
-        Sizes (of ramp and spoof: rates); None takes multiples of each channel's threshold.
-    onsets : int
-        Times of onset for each of them, spread over the watched flight.
-    before_s, after_s : float
-        Window around an onset.
-    jobs : int
-        Processes.
-    """
-
-    channels: tuple[str, ...] = ()
-    kinds: tuple[str, ...] | None = None
+    channels: tuple[str, ...] = ()  # alarm channels; empty takes all of the profile
+    kinds: tuple[str, ...] | None = None  # kinds of fault; None takes loss for actuators, bias and ramp for sensors
+    # sizes (of ramp and spoof: rates); None takes multiples of each channel's threshold
     sizes: tuple[float, ...] | None = None
-    onsets: int = 5
+    onsets: int = 5  # times of onset for each of them, spread over the watched flight
+    # window around an onset
     before_s: float = 10.0
     after_s: float = 10.0
-    jobs: int = 1
+    jobs: int = 1  # processes
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What was found for one size of one kind of fault on one channel.
+    """What was found for one size of one kind of fault on one channel."""
 
-    Parameters
-    ----------
-    channel, kind : str
-        The fault.
-    size : float | None
-        Its size (of ramp and spoof: rate); None for kinds without one.
-    unit : str
-        Unit of the size.
-    trials, void : int
-        Trials that count, and those that do not because the window raised an alarm before the onset.
-    missed : int
-        Trials in which the channel's alarm was not raised within the window.
-    delay_median_s, delay_90_s : float | None
-        Time from onset to alarm that half, and 90 %, of the trials stay within; None where they do not.
-    isolated : float | None
-        Share of the detected trials in which no other alarm was raised.
-    others : tuple[str, ...]
-        Channels that were raised too, or instead.
-    estimate_error : float | None
-        Root mean square error of the estimate over the second half of the window, in ``unit`` (of a ramp or spoof:
-        in the unit of what grows); None where the kind has no size to compare with.
-    """
-
+    # the fault
     channel: str
     kind: str
-    size: float | None
-    unit: str
+    size: float | None  # its size (of ramp and spoof: rate); None for kinds without one
+    unit: str  # unit of the size
+    # trials that count, and those that do not because the window raised an alarm before the onset
     trials: int
     void: int
-    missed: int
+    missed: int  # trials in which the channel's alarm was not raised within the window
+    # time from onset to alarm that half, and 90 %, of the trials stay within; None where they do not
     delay_median_s: float | None
     delay_90_s: float | None
-    isolated: float | None
-    others: tuple[str, ...]
+    isolated: float | None  # share of the detected trials in which no other alarm was raised
+    others: tuple[str, ...]  # channels that were raised too, or instead
+    # root mean square error of the estimate over the second half of the window, in ``unit`` (of a ramp or spoof: in the
+    # unit of what grows); None where the kind has no size to compare with
     estimate_error: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class Detectability:
-    """Result of a sweep.
+    """Result of a sweep."""
 
-    Parameters
-    ----------
-    profile, log : str
-        Names of profile and recording.
-    onsets_ms : Mapping[str, tuple[int, ...]]
-        By observer: onsets on the vehicle's clock.
-    window_s : tuple[float, float]
-        Before and after an onset.
-    healthy_alarms : int
-        Alarms of the recording as it is; windows that hold one were not used.
-    rows : tuple[Row, ...]
-        The findings.
-    skipped : tuple[str, ...]
-        What was not tried, and why.
-    """
-
+    # names of profile and recording
     profile: str
     log: str
-    onsets_ms: Mapping[str, tuple[int, ...]]
-    window_s: tuple[float, float]
-    healthy_alarms: int
+    onsets_ms: Mapping[str, tuple[int, ...]]  # by observer: onsets on the vehicle's clock
+    window_s: tuple[float, float]  # before and after an onset
+    healthy_alarms: int  # alarms of the recording as it is; windows that hold one were not used
     rows: tuple[Row, ...]
-    skipped: tuple[str, ...]
+    skipped: tuple[str, ...]  # what was not tried, and why
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,30 +47,15 @@ class TrialWindow(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Healthy:
-    """A recording without a fault.
+    """A recording without a fault."""
 
-    Parameters
-    ----------
-    batches : Sequence[Batch]
-        Its messages of one vehicle.
-    newest_ns : Sequence[NDArray[np.int64]]
-        For each batch the newest time on the vehicle's clock after each message, nanoseconds.
-    system : int
-        The vehicle's MAVLink system.
-    flights : Mapping[str, Flight]
-        By observer: its samples.
-    states : Mapping[str, NDArray[np.float64]]
-        By observer: its state estimates at them (N, n).
-    alarms_ns : Sequence[int]
-        Times at which alarms were raised, vehicle nanoseconds.
-    """
-
-    batches: Sequence[Batch]
+    batches: Sequence[Batch]  # its messages of one vehicle
+    # for each batch the newest time on the vehicle's clock after each message, nanoseconds
     newest_ns: Sequence[NDArray[np.int64]]
-    system: int
-    flights: Mapping[str, Flight]
-    states: Mapping[str, NDArray[np.float64]]
-    alarms_ns: Sequence[int]
+    system: int  # the vehicle's MAVLink system
+    flights: Mapping[str, Flight]  # by observer: its samples
+    states: Mapping[str, NDArray[np.float64]]  # by observer: its state estimates at them (N, n)
+    alarms_ns: Sequence[int]  # times at which alarms were raised, vehicle nanoseconds
 
     def spans_ns(self, observer: str) -> list[Span]:
         """Return the stretches in which an observer's samples are evidence, vehicle nanoseconds."""

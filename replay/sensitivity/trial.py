@@ -26,49 +26,26 @@ _SMALLEST_COMMAND = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Attacks on one channel that begin at the same time, and the window of messages they are tried on.
-
-    Parameters
-    ----------
-    profile : Profile
-        The profile.
-    observer : str
-        The observer whose alarm is meant.
-    system : int
-        The vehicle's MAVLink system.
-    window : TrialWindow
-        The messages, those before the attacks apart.
-    attacks : tuple[Attack, ...]
-        The attacks, each tried by itself.
-    states : States | None
-        The observer's state estimates in healthy flight, which the response of a nonlinear plant depends on.
-    """
+    """Attacks on one channel that begin at the same time, and the window of messages they are tried on."""
 
     profile: Profile
-    observer: str
-    system: int
-    window: TrialWindow
-    attacks: tuple[Attack, ...]
+    observer: str  # the observer whose alarm is meant
+    system: int  # the vehicle's MAVLink system
+    window: TrialWindow  # the messages, those before the attacks apart
+    attacks: tuple[Attack, ...]  # the attacks, each tried by itself
+    # the observer's state estimates in healthy flight, which the response of a nonlinear plant depends on
     states: States | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Result of one trial.
+    """Result of one trial."""
 
-    Parameters
-    ----------
-    delay_s : float | None
-        From onset to alarm, infinite where none was raised; None where the window raised one before the onset.
-    others : frozenset[str]
-        Other channels that were raised.
-    error : float | None
-        Root mean square error of the estimate over the second half of the attack; None where the kind has no size
-        that an estimate could be compared with.
-    """
-
+    # from onset to alarm, infinite where none was raised; None where the window raised one before the onset
     delay_s: float | None
-    others: frozenset[str]
+    others: frozenset[str]  # other channels that were raised
+    # root mean square error of the estimate over the second half of the attack; None where the kind has no size that an
+    # estimate could be compared with
     error: float | None
 
 
