@@ -93,30 +93,10 @@ def fit_profile(
 ) -> FitReport:
     """Write a profile.
 
-    Parameters
-    ----------
-    kind : str
-        Name of one of :data:`monitor.vehicles.kinds.KINDS`; with ``update`` it may be empty, for the profile's own.
-    logs : Sequence[BatchSource]
-        Healthy recordings; each call of a log goes through it once from the start.
-    folder : Path
-        The profile's folder; made where it does not exist.
-    name : str
-        Name of the vehicle and its models.
-    model : Path | None
-        Model file of a custom vehicle.
-    log_names : Sequence[str]
-        What the recordings are called; empty: by their numbers.
-    force : bool
-        Whether to go on where a recording says it is of another kind of vehicle, or of another vehicle than the first.
-    rate_hz : float | None
-        Samples per second of the vehicle's own observer, at most as many as its messages allow; None: as many.
-    stage : Callable[[str], None]
-        Called with each stage that is done.
-    update : Path | None
-        Profile whose flights are fitted too, from what it keeps of them, and whose edits are kept.
-    capability : bool
-        Whether to measure what will be detected how fast, for the profile's readers.
+    The options of :func:`replay.api.fit` are here, too; each call of a log goes through it once from the start. With
+    ``update``, a profile whose flights are fitted too and whose edits are kept, ``kind`` may be empty for that
+    profile's own. ``log_names`` empty: by their numbers; ``stage`` is called with each stage that is done;
+    ``capability`` says whether to measure what will be detected how fast, for the profile's readers.
 
     Raises
     ------

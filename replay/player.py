@@ -91,24 +91,8 @@ def play_batches(
 ) -> Replay:
     """Run a recording through the pipeline.
 
-    Parameters
-    ----------
-    profile : Profile
-        The vehicle's profile.
-    batches : Iterable[Batch]
-        The recording.
-    vehicle : str | None
-        Name in events; None takes the profile's.
-    record : Path | None
-        MCAP file for telemetry, samples, estimates and alarms.
-    keep_traces : bool
-        Whether to keep the estimates for plots.
-    trace_rows : int
-        How many of each observer are kept at most; more are thinned.
-    on_event : Callable[[AlarmEvent], None] | None
-        Called with each event as it arises.
-    force : bool
-        Whether to go on where the vehicle says it is another than the profile's.
+    The options are those of :func:`replay.api.replay`; ``trace_rows`` of each observer are kept at most, more are
+    thinned.
 
     Raises
     ------

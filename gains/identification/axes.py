@@ -116,20 +116,8 @@ def fit_axes(
 ) -> AxesFit:
     """Identify every output.
 
-    Parameters
-    ----------
-    segments : Sequence[Segment]
-        Healthy operation in unbroken stretches, u without the actuators' delays and lags, y in the order of ``models``.
-    rate_hz : float
-        Samples per second.
-    inputs : Sequence[str]
-        Names of the columns of u.
-    models : Sequence[AxisModel]
-        What to look for in each output.
-    manoeuvres : Mapping[str, str]
-        By actuator: what to do to excite it.
-    curves : Mapping[str, float] | None
-        As of the result; u is bent already.
+    ``segments`` are healthy operation in unbroken stretches, u without the actuators' delays and lags and bent by
+    ``curves``, y in the order of ``models``; ``manoeuvres`` say by actuator what to do to excite it.
 
     Raises
     ------

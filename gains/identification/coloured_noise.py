@@ -33,12 +33,8 @@ class Autoregression(NamedTuple):
 def autoregression(errors: Sequence[FloatArray], own: Sequence[NDArray[np.bool_]], longest: int) -> Autoregression:
     """Return the autoregression of errors by least squares.
 
-    Parameters
-    ----------
-    errors, own : Sequence
-        By stretch: errors (N,), and which of them are known (N,).
-    longest : int
-        Its order; less where too few rows in a row are known.
+    ``errors`` (N,) and which of them are known, ``own``, are given by stretch; the order is ``longest``, less where too
+    few rows in a row are known.
     """
     while True:
         gram, count = np.zeros((longest + 1, longest + 1)), 0
@@ -62,14 +58,7 @@ def autoregression(errors: Sequence[FloatArray], own: Sequence[NDArray[np.bool_]
 def whitened(columns: FloatArray, own: NDArray[np.bool_], noise: Autoregression) -> tuple[NDArray[np.intp], FloatArray]:
     """Return the rows that count and the filtered columns there, all with the variance of the longest prediction.
 
-    Parameters
-    ----------
-    columns : FloatArray
-        Both sides of the equations (c, N).
-    own : NDArray[np.bool_]
-        Which rows are known (N,).
-    noise : Autoregression
-        The errors' colour.
+    ``columns`` (c, N) are both sides of the equations; ``own`` says which rows are known (N,).
     """
     from scipy.signal import lfilter
 

@@ -46,14 +46,8 @@ def excitation_verdicts(
 ) -> tuple[ExcitationVerdict, ...]:
     """Return a verdict on each free parameter.
 
-    Parameters
-    ----------
-    model : FreeModel
-        The model.
-    theta, covariance : FloatArray
-        Estimates (k,) and their covariance (k, k); infinite variance where no prediction depends on a parameter.
-    movement : Mapping[str, float]
-        Standard deviation of each input and state in the recordings, by name.
+    An estimate (k,) has infinite variance where no prediction depends on it; ``movement`` is the standard deviation of
+    each input and state in the recordings, by name.
     """
     errors = np.sqrt(np.diag(covariance))
     verdicts = []

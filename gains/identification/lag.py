@@ -30,15 +30,9 @@ def lag_taps(times_s: FloatArray, rate_hz: float, length: int | None = None) -> 
     What the next samples would add, where all is quicker than the grid or the input's stamps are late, is put onto the
     newest.
 
-    Parameters
-    ----------
-    times_s : FloatArray
-        Transport delay, time constant of the lag, and delay of the filter, seconds (3,). The delay may be down to minus
-        a sample: stamps of the input that are late against those of the output.
-    rate_hz : float
-        Samples per second.
-    length : int | None
-        Number of taps; None takes as many as the whole response has.
+    ``times_s`` are transport delay, time constant of the lag, and delay of the filter (3,). The delay may be down to
+    minus a sample: stamps of the input that are late against those of the output. ``length`` None takes as many taps as
+    the whole response has.
     """
     delay_s, lag_s, filter_s = (float(time) for time in times_s)
     taps = length or ceil((delay_s + _LAGS * lag_s + _FILTERS * filter_s) * rate_hz) + 3

@@ -55,14 +55,9 @@ class NoiseScales:
 def fit_noise_scales(A: FloatArray, C: FloatArray, E: FloatArray, D: FloatArray, residuals: FloatArray) -> NoiseScales:
     """Return the scales that make the residuals of a simulation most likely.
 
-    Parameters
-    ----------
-    A, C : FloatArray
-        Transition (n, n) per sample, linearised where the plant is not linear, and outputs (p, n).
-    E, D : FloatArray
-        Columns of the disturbances per sample (n, q) and of the noises (p, r), not scaled.
-    residuals : FloatArray
-        y - y^ of simulations over windows, each from its own initial state (W, T, p).
+    A (n, n) is the transition of a sample, linearised where the plant is not linear, C (p, n) the outputs; E (n, q) and
+    D (p, r) are the columns of disturbances and noises, not scaled; ``residuals`` are y - y^ of simulations over
+    windows, each from its own initial state (W, T, p).
     """
     from scipy.optimize import minimize
 
@@ -145,15 +140,6 @@ def _likelihoods(A: FloatArray, C: FloatArray, K: FloatArray, S: FloatArray, res
     """Return minus twice the logarithm of the likelihood for each of M filters, up to a constant.
 
     Initial states are free. Filter and simulation differ by d: d(k+1) = A (d + K e), e = r - C d, linear in d(0).
-
-    Parameters
-    ----------
-    A, C : FloatArray
-        As :func:`fit_noise_scales`.
-    K, S : FloatArray
-        Gains (M, n, p) and covariances (M, p, p).
-    residuals : FloatArray
-        (W, T, p).
     """
     (W, T, p), (M, n, _) = residuals.shape, K.shape
     root = np.linalg.cholesky(S)

@@ -109,18 +109,8 @@ def identify(
 ) -> OutputErrorFit:
     """Estimate a model's free parameters, its delay and its noise.
 
-    Parameters
-    ----------
-    model : FreeModel
-        The model; without free parameters only delay and noise are estimated.
-    training, validation : Sequence[Segment]
-        Contiguous healthy samples to fit on, and others to judge the fit by.
-    rate_hz : float
-        Samples per second.
-    longest_delay_s : float
-        Largest transport delay that is tried, seconds.
-    window_s : float
-        Length of the windows, seconds; 20 to 200 samples are kept to.
+    A model without free parameters gets delay and noise alone. The samples to fit on, and the ``validation`` that
+    judges the fit, are healthy; windows keep to 20 to 200 samples.
 
     Raises
     ------

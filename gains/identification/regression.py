@@ -107,16 +107,7 @@ def fit_axis(
 ) -> AxisFit:
     """Identify one output.
 
-    Parameters
-    ----------
-    segments : Sequence[Segment]
-        Unbroken healthy operation, the actuators' effects without delay and lag.
-    rate_hz : float
-        Samples per second.
-    inputs, outputs : Sequence[str]
-        Names of the columns of u and y.
-    model : AxisModel
-        What to look for.
+    ``segments`` are unbroken healthy operation, the actuators' effects without delay and lag.
 
     Raises
     ------

@@ -62,14 +62,7 @@ def residual_statistics(
 ) -> tuple[ResidualStatistics, ...]:
     """Return the statistics of each output's residual.
 
-    Parameters
-    ----------
-    names : Sequence[str]
-        Names of the outputs (p,).
-    segments : Sequence[FloatArray]
-        Residuals without a break (N_i, p); correlations are taken within each.
-    lags : int
-        Number of lags, fewer where the segments are short.
+    Each segment (N_i, p) is without a break, and correlations are taken within it, at fewer lags where it is short.
     """
     # not scipy.stats, which takes longer to load than this takes altogether
     from scipy.special import gammaincc

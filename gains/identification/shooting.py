@@ -65,18 +65,7 @@ def split_segments(logs: Sequence[Sequence[Segment]]) -> tuple[list[Segment], li
 def cut_windows(segments: Sequence[Segment], length: int, delay: int, longest_delay: int, most: int) -> Windows:
     """Return at most ``most`` windows of ``length`` samples, spread evenly over the segments.
 
-    Parameters
-    ----------
-    segments : Sequence[Segment]
-        The data.
-    length : int
-        Samples of a window.
-    delay : int
-        Samples by which the inputs act later than they are recorded.
-    longest_delay : int
-        Largest delay that will be tried: windows are the same for all of them.
-    most : int
-        Bound of the cost.
+    Inputs act ``delay`` samples later than they are recorded; windows are the same for all delays up to the longest.
 
     Raises
     ------
@@ -118,24 +107,10 @@ def predict(stepper: Stepper, windows: Windows, x: FloatArray, K: FloatArray) ->
 class Shooting:
     """Prediction errors as a function of the parameters alone.
 
-    Parameters
-    ----------
-    dynamics : Callable[[FloatArray], Dynamics]
-        The plant's equations at parameter values (k,).
-    sizes : FloatArray
-        Orders of magnitude of the parameters (k,).
-    windows : Windows
-        The data.
-    rate_hz : float
-        Samples per second.
-    hold : {"first", "zero"}
-        What inputs do between samples.
-    K : FloatArray
-        Innovation gain (n, p); zero simulates.
-    weight : FloatArray
-        L (p, p): errors count as e @ L; with L L' the inverse of their covariance they have size one.
-    x : FloatArray | None
-        First guess of the initial states (W, n); None: the least one that the first output allows.
+    ``dynamics`` are the plant's equations at parameter values (k,), whose orders of magnitude are ``sizes``. The
+    innovation gain K (n, p) is zero to simulate. Errors count as e @ L, L (p, p) the ``weight``: with L L' the inverse
+    of their covariance they have size one. ``x`` is a first guess of the initial states (W, n), None the least one that
+    the first output allows.
     """
 
     def __init__(

@@ -81,15 +81,6 @@ class Stepper:
 
     Arrays of states are (P, W, n): P parameter sets, W windows of data.
 
-    Parameters
-    ----------
-    sets : Sequence[Dynamics]
-        The plant at each of P parameter sets.
-    rate_hz : float
-        Samples per second.
-    hold : {"first", "zero"}
-        Whether a continuous plant's input is a ramp between samples or stays.
-
     Raises
     ------
     ModelError

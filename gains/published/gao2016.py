@@ -40,14 +40,8 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
 
     ``sqrt_mu`` is that against [w; w'] for faults that do not accelerate: fa' and fs' are no disturbances in this form.
 
-    Parameters
-    ----------
-    plant : Plant
-        Continuous model.
-    decouple : bool
-        Whether the disturbances whose directions C keeps apart are decoupled by H.
-    decay : float
-        Rate alpha at which the error decays at least, 1/s; with 0 the cheapest gains within the bound take hours.
+    ``decouple`` takes the disturbances whose directions C keeps apart out by H; ``decay`` is alpha, 1/s: with 0 the
+    cheapest gains within the bound take hours.
 
     Raises
     ------

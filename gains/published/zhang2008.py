@@ -38,18 +38,8 @@ def design_zhang2008(
 
     It has no bound (``sqrt_mu`` None); its stability at every slope vertex is confirmed.
 
-    Parameters
-    ----------
-    plant : Plant
-        The model.
-    sigma : float
-        Weight of e_y against e_y' in the adaptive law, 1/s.
-    mu_z : float
-        The form's weight of G_z.
-    learning_rate : float
-        How fast the fault estimate follows, 1/s.
-    decay : float
-        alpha, 1/s; 0 in the form attributed to the original.
+    ``sigma`` weighs e_y against e_y', 1/s, ``mu_z`` is the form's weight of G_z, ``learning_rate`` says how fast the
+    fault estimate follows, 1/s, ``decay`` is alpha, 1/s (0 in the form attributed to the original).
 
     Raises
     ------

@@ -54,16 +54,8 @@ def design_continuous(
 ) -> Design:
     """Design a continuous observer for a continuous plant and prove it.
 
-    Parameters
-    ----------
-    plant : Plant
-        The model.
-    decay : tuple[float, float]
-        Range of the decay rates of the error system at every slope vertex, rad/s: -high <= Re <= -low.
-    gain_weight : float
-        rho, the price of the energy that an innovation puts into the error, against mu; positive.
-    noise_once : bool
-        As for :func:`gains.synthesis.convex.design_convex`.
+    ``decay`` is the range of the decay rates of the error system at every slope vertex, rad/s: -high <= Re <= -low; the
+    others are as for :func:`gains.synthesis.convex.design_convex`.
 
     Raises
     ------

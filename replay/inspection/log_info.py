@@ -37,10 +37,7 @@ Event = TypeVar("Event", AlarmEvent, dict[str, Any])
 def first_raised(events: Iterable[Event]) -> list[Event]:
     """Return the first event of each alarm that was raised: an alarm is raised again when an operator unshelves it.
 
-    Parameters
-    ----------
-    events : Iterable[AlarmEvent] | Iterable[dict]
-        Alarm events, or their JSON objects from a recording, which may hold anything where it is damaged.
+    Events of a recording are their JSON objects, which may hold anything where it is damaged.
     """
     raised: dict[str, Event] = {}
     for event in events:

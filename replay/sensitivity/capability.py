@@ -57,16 +57,9 @@ def measure_capability(
 ) -> tuple[Capability, ...]:
     """Measure what an observer detects, for each fault channel whose alarm has a positive threshold.
 
-    Parameters
-    ----------
-    profile : Profile
-        A profile of one observer, with its model.
-    logs : Sequence[BatchSource]
-        Healthy recordings.
-    within_s : Sequence[float]
-        Delays asked for, seconds; None: :data:`WITHIN_S`, longer in proportion for an observer of few ticks a second.
-    count : int
-        How many onsets to try, spread over the recordings (where the command matters, for a loss).
+    The profile has one observer, with its model. ``within_s`` are the delays asked for; None: :data:`WITHIN_S`, longer
+    in proportion for an observer of few ticks a second. ``count`` onsets are spread over the recordings (where the
+    command matters, for a loss).
     """
     [observer] = profile.observers
     wanted = Pipeline(profile).interests

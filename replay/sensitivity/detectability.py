@@ -108,16 +108,7 @@ class _Subject:
 def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lambda items, *_: items) -> Detectability:
     """Sweep size and kind of faults over a profile's alarm channels.
 
-    Parameters
-    ----------
-    folder : Path
-        Profile folder.
-    log : Path
-        Healthy recording.
-    sweep : Sweep
-        What to try.
-    track : TrialTrack
-        Shows progress, given the items, what they are part of, and what they are.
+    ``track`` shows progress, given the items, what they are part of, and what they are.
 
     Raises
     ------

@@ -31,13 +31,6 @@ def plot_detectability(path: str | os.PathLike[str], result: Detectability) -> N
     Per kind of fault a row of panels, one for each channel: the delay that half of the trials stay within as a line,
     the delay of 90 % dashed, over the size; below it the share that was missed, as bars. All panels of a row share
     their axes. Where fewer than half, or 90 %, were seen, the line has no point.
-
-    Parameters
-    ----------
-    path : str | PathLike
-        PNG to write.
-    found : Detectability
-        The sweep's result.
     """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -149,16 +149,8 @@ def free_spans(
 ) -> list[Span]:
     """Return where onsets may lie: with watched flight and no alarm around them, vehicle nanoseconds.
 
-    Parameters
-    ----------
-    spans : Sequence[tuple[int, int]]
-        Stretches of watched flight.
-    alarms_ns : Iterable[int]
-        Times at which alarms were raised.
-    before_ns, after_ns : int
-        How much of the window lies before and after its onset.
-    wanted : Sequence[tuple[int, int]] | None
-        Stretches that onsets have to lie in; None: anywhere.
+    ``spans`` are stretches of watched flight, ``wanted`` those that onsets have to lie in (None: anywhere); a window
+    has ``before_ns`` ahead of its onset.
     """
     free = [(a + before_ns, b - after_ns) for a, b in spans if b - a >= before_ns + after_ns]
     for alarm_ns in alarms_ns:
