@@ -28,8 +28,7 @@ import numpy as np
 
 from adapters.errors import InfeasibleError
 from gains.plants.plant import FloatArray, Plant, check_independence, first_dependent
-from gains.published.lmi import block_matrix, confirmed, lipschitz_constant, solve_lmi, total
-from gains.synthesis.affine_matrix import Unknowns, trace
+from gains.published.lmi import block_matrix, confirmed, lipschitz_constant, solve_lmi
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
 from gains.synthesis.solver import gain_energy
 
@@ -53,6 +52,8 @@ def design_chen2006(plant: Plant, filter_s: float = 0.05) -> ContinuousObserver:
     InaccurateError
         The error system of the gains is not stable.
     """
+    import cvxpy as cp
+
     started = time.perf_counter()
     check_continuous(plant)
     check_independence(plant)
@@ -73,21 +74,24 @@ def design_chen2006(plant: Plant, filter_s: float = 0.05) -> ContinuousObserver:
     U, V = -Dd @ inverse, np.eye(p) - seen @ inverse
     constant = lipschitz_constant(plant)
     gamma = max(constant, _SMALLEST_CONSTANT)
-    unknowns = Unknowns()
-    P, Yb, Kb = unknowns.symmetric(nz), unknowns.matrix(nz, p), unknowns.matrix(nz, p)
+    P = cp.Variable((nz, nz), symmetric=True)
+    Yb, Kb = cp.Variable((nz, p)), cp.Variable((nz, p))
     PM = P @ (np.eye(nz) + U @ C_b) + Yb @ (V @ C_b)
     Psi = PM @ Ad - Kb @ C_b
     block = block_matrix([[Psi + Psi.T + gamma * np.eye(nz), math.sqrt(gamma) * PM], [-np.eye(nz)]])
-    inequality, excess = 0.5 * (block + block.T), unknowns.matrix()
+    inequality, excess = 0.5 * (block + block.T), cp.Variable()
     why = f"the Lipschitz constant {constant:.3g} of the nonlinearity is too large for it"
     # the smallest excess always exists, so that an infeasible inequality is proved so and not given up on
-    least = [inequality << excess * np.eye(2 * nz), P >> 0.0]
-    seconds = solve_lmi(excess, least, plant, "chen2006", why)
-    if excess.number > -_MARGIN:
+    least = cp.Problem(cp.Minimize(excess), [inequality << excess * np.eye(2 * nz), P >> 0])
+    seconds = solve_lmi(least, plant, "chen2006", why)
+    if excess.value > -_MARGIN:
         raise InfeasibleError(f"{plant.name}: the chen2006 inequality has no solution: {why}")
     energies = [gain_energy(P, Yb), gain_energy(P, Kb)]
-    tempered = [inequality << 0.0, P >> 0.0, *(holds for _, holds in energies)]
-    seconds += solve_lmi(trace(P) + total(energies), tempered, plant, "chen2006", why)
+    tempered = cp.Problem(
+        cp.Minimize(cp.trace(P) + sum(energy for energy, _ in energies)),
+        [inequality << 0, P >> 0, *(holds for _, holds in energies)],
+    )
+    seconds += solve_lmi(tempered, plant, "chen2006", why)
     Y, K = np.linalg.solve(P.value, Yb.value), np.linalg.solve(P.value, Kb.value)
     E_o = U + Y @ V
     M = np.eye(nz) + E_o @ C_b

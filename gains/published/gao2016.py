@@ -31,7 +31,6 @@ import numpy as np
 from adapters.errors import InfeasibleError
 from gains.plants.plant import FloatArray, Plant, check_independence, first_dependent
 from gains.published.lmi import block_matrix, confirmed, lipschitz_rows, reported_bound, solve_tempered
-from gains.synthesis.affine_matrix import Unknowns
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
 from gains.synthesis.solver import gain_energy
 
@@ -53,6 +52,8 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
     InaccurateError
         The norm of the gains does not confirm the bound.
     """
+    import cvxpy as cp
+
     started = time.perf_counter()
     check_continuous(plant)
     check_independence(plant)
@@ -75,8 +76,8 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
     x, f_s, f_a = np.split(plant.errors, [n, n + a2])
     weights = 1.0 / np.concatenate([x, rates, f_a, f_s])
     Lx = rows @ raised.T
-    unknowns = Unknowns()
-    P, Q, eps, mu = unknowns.symmetric(size), unknowns.matrix(size, p), unknowns.matrix(), unknowns.matrix()
+    P, Q = cp.Variable((size, size), symmetric=True), cp.Variable((size, p))
+    eps, mu = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
     S = P @ (T_u @ Ab) - Q @ Cb
     zero = np.zeros
     M = block_matrix(
@@ -97,9 +98,7 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
         if decouple
         else "the Lipschitz bound is too large, or some fault shows in no output"
     )
-    seconds = solve_tempered(
-        mu, [eps >= 0.0, mu >= 0.0, 0.5 * (M + M.T) << 0.0, P >> 0.0], [gain_energy(P, Q)], plant, "gao2016", why
-    )
+    seconds = solve_tempered(mu, [0.5 * (M + M.T) << 0, P >> 0], [gain_energy(P, Q)], plant, "gao2016", why)
     L_1u = np.linalg.solve(P.value, Q.value)
     R = T_u @ Ab - L_1u @ Cb
     order = [*range(n), *range(n + nf + a1, size), *range(n + nf, n + nf + a1)]

@@ -28,7 +28,6 @@ from adapters.errors import InaccurateError, InfeasibleError
 from gains.analysis.augment import augment
 from gains.plants.plant import Plant
 from gains.published.lmi import block_matrix, confirmed, lipschitz_rows, reported_bound, solve_tempered
-from gains.synthesis.affine_matrix import Unknowns, zero
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous, fauio_observer
 from gains.synthesis.solver import gain_energy
 
@@ -65,6 +64,8 @@ def design_gao2022(plant: Plant, sigmas: float | Sequence[float] = SIGMAS) -> Co
 
 
 def _design(plant: Plant, sigma: float) -> ContinuousObserver:
+    import cvxpy as cp
+
     check_continuous(plant)
     s, E, D, rows = augment(plant), plant.E, plant.D, lipschitz_rows(plant)
     (nz, n), p, a1, m = s.L1.shape, len(plant.outputs), len(plant.actuator_faults), len(plant.nonlinearities)
@@ -72,10 +73,9 @@ def _design(plant: Plant, sigma: float) -> ContinuousObserver:
         raise InfeasibleError(f"{plant.name}: gao2022 estimates actuator faults, and the model has none")
     if not sigma > 0.0:
         raise InfeasibleError(f"{plant.name}: gao2022 needs a positive sigma, not {sigma:g}")
-    unknowns = Unknowns()
-    P, Y = unknowns.symmetric(nz), unknowns.matrix(nz, p)
-    R, S = unknowns.matrix(a1, p), unknowns.symmetric(a1)
-    eps, mu = unknowns.matrix(), unknowns.matrix()
+    P, Y = cp.Variable((nz, nz), symmetric=True), cp.Variable((nz, p))
+    R, S = cp.Variable((a1, p)), cp.Variable((a1, a1), symmetric=True)
+    eps, mu = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
     into, through, noise = s.L1 @ plant.E_f, s.L1 @ plant.G, s.F @ D
     H = rows @ np.eye(n, nz)
     PN = P @ (s.L1 @ s.A_z) - Y @ s.C_b
@@ -83,7 +83,7 @@ def _design(plant: Plant, sigma: float) -> ContinuousObserver:
     q = D.shape[1]
     weights = 1.0 / plant.errors
     rates = [fault.rate for fault in plant.actuator_faults]
-    none = np.zeros
+    zero = np.zeros
     M = block_matrix(
         [
             [
@@ -92,7 +92,7 @@ def _design(plant: Plant, sigma: float) -> ContinuousObserver:
                 P @ through,
                 Pw,
                 -P @ noise,
-                none((nz, a1)),
+                zero((nz, a1)),
             ],
             [
                 -(2.0 / sigma) * (into.T @ P @ into) + np.diag(weights[nz:] ** 2),
@@ -101,15 +101,15 @@ def _design(plant: Plant, sigma: float) -> ContinuousObserver:
                 (into.T @ P @ noise - R @ D) / sigma,
                 S @ np.diag(rates) / sigma,
             ],
-            [-eps * np.eye(m), none((m, q)), none((m, q)), none((m, a1))],
-            [-mu * np.eye(q), none((q, q)), none((q, a1))],
-            [-mu * np.eye(q), none((q, a1))],
+            [-eps * np.eye(m), zero((m, q)), zero((m, q)), zero((m, a1))],
+            [-mu * np.eye(q), zero((q, q)), zero((q, a1))],
+            [-mu * np.eye(q), zero((q, a1))],
             [-mu * np.eye(a1)],
         ]
     )
     seconds = solve_tempered(
         mu,
-        [eps >= 0.0, mu >= 0.0, 0.5 * (M + M.T) << 0.0, P >> 0.0, S >> 0.0, zero(R @ s.C_b - into.T @ P)],
+        [0.5 * (M + M.T) << 0, P >> 0, S >> 0, R @ s.C_b == into.T @ P],
         [gain_energy(P, Y), gain_energy(S, R)],
         plant,
         "gao2022",

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import reduce
-from operator import add
 from typing import Any
 
 import numpy as np
@@ -17,9 +15,8 @@ import numpy as np
 from adapters.errors import InaccurateError, InfeasibleError
 from gains.plants.plant import FloatArray, Plant
 from gains.published.error_system import Inputs, error_norm
-from gains.synthesis.affine_matrix import AffineMatrix, Constraint, block
 from gains.synthesis.continuous_observer import ContinuousObserver
-from gains.synthesis.solver import DEFAULT, minimise
+from gains.synthesis.solver import DEFAULT, solve_program
 
 SLACK = 1e-4
 """What the solver may have left of a constraint, as for our own designs."""
@@ -47,18 +44,20 @@ def lipschitz_constant(plant: Plant) -> float:
 
 
 def block_matrix(blocks: Sequence[Sequence[Any]]) -> Any:
-    """Return the symmetric matrix whose upper triangle, row by row from the diagonal, is given."""
-    size = range(len(blocks))
-    return block([[blocks[i][j - i] if j >= i else blocks[j][i - j].T for j in size] for i in size])
+    """Return the symmetric matrix whose upper triangle, row by row from the diagonal, is given.
+
+    Rows and columns of size zero (no nonlinearity, no disturbance) are left out.
+    """
+    import cvxpy as cp
+
+    size = len(blocks)
+    kept = [i for i in range(size) if blocks[i][0].shape[0] > 0]
+    full = [[blocks[i][j - i] if j >= i else blocks[j][i - j].T for j in kept] for i in kept]
+    return cp.bmat(full)
 
 
 def solve_tempered(
-    mu: AffineMatrix,
-    constraints: list[Constraint],
-    energies: list[tuple[AffineMatrix, Constraint]],
-    plant: Plant,
-    method: str,
-    why: str,
+    mu: Any, constraints: list[Any], energies: list[tuple[Any, Any]], plant: Plant, method: str, why: str
 ) -> float:
     """Minimise mu, then the energy of the gains with the bound within ``ALLOWANCE`` of that minimum.
 
@@ -66,19 +65,17 @@ def solve_tempered(
     ``SMALLEST`` of the error that matters are as good as that. Returns the seconds in
     the solver; errors as :func:`solve_lmi`.
     """
-    seconds = solve_lmi(mu, constraints, plant, method, why)
-    limit = max((1.0 + ALLOWANCE) ** 2 * mu.number, SMALLEST**2)
-    tempered = [*constraints, *(holds for _, holds in energies), mu <= limit]
-    return seconds + solve_lmi(total(energies), tempered, plant, method, why)
+    import cvxpy as cp
+
+    seconds = solve_lmi(cp.Problem(cp.Minimize(mu), constraints), plant, method, why)
+    limit = max((1.0 + ALLOWANCE) ** 2 * float(mu.value), SMALLEST**2)
+    energy = sum(energy for energy, _ in energies)
+    tempered = cp.Problem(cp.Minimize(energy), [*constraints, *(holds for _, holds in energies), mu <= limit])
+    return seconds + solve_lmi(tempered, plant, method, why)
 
 
-def total(energies: Sequence[tuple[AffineMatrix, Constraint]]) -> AffineMatrix:
-    """Return the sum of energies."""
-    return reduce(add, (energy for energy, _ in energies))
-
-
-def solve_lmi(objective: AffineMatrix, constraints: Sequence[Constraint], plant: Plant, method: str, why: str) -> float:
-    """Minimise under an inequality and return the seconds in the solver.
+def solve_lmi(problem: Any, plant: Plant, method: str, why: str) -> float:
+    """Solve an inequality with Clarabel and return the seconds it took.
 
     Raises
     ------
@@ -87,17 +84,19 @@ def solve_lmi(objective: AffineMatrix, constraints: Sequence[Constraint], plant:
     InaccurateError
         The solver found neither a solution nor a proof that there is none.
     """
-    status, seconds = minimise(objective, constraints, DEFAULT)
-    if status == "infeasible":
+    import cvxpy as cp
+
+    seconds = solve_program(problem, DEFAULT)
+    if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
         raise InfeasibleError(f"{plant.name}: the {method} inequality has no solution: {why}")
-    if status == "unknown":
-        raise InaccurateError(f"{plant.name}: the solver stopped short on the {method} inequality")
+    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        raise InaccurateError(f"{plant.name}: the solver stopped short on the {method} inequality ({problem.status})")
     return seconds
 
 
-def reported_bound(mu: AffineMatrix) -> float:
+def reported_bound(mu: Any) -> float:
     """Return sqrt(mu) of a solution with the solver's tolerance added, at least ``SMALLEST``."""
-    return max(math.sqrt(max(mu.number, 0.0)) * (1.0 + SLACK), SMALLEST)
+    return max(math.sqrt(max(float(mu.value), 0.0)) * (1.0 + SLACK), SMALLEST)
 
 
 def confirmed(observer: ContinuousObserver, inputs: Inputs = "all") -> ContinuousObserver:

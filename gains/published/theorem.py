@@ -44,7 +44,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
-from itertools import combinations_with_replacement
 from typing import Any, Literal
 
 import numpy as np
@@ -53,12 +52,10 @@ from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import ErrorModel, augment, error_model, slope_vertices
 from gains.analysis.estimability import check_existence
 from gains.plants.plant import FloatArray, Plant
-from gains.published.lmi import total
-from gains.synthesis.affine_matrix import AffineMatrix, Constraint, Unknowns, block, trace
 from gains.synthesis.certificate import certify
 from gains.synthesis.continuous_observer import check_continuous
 from gains.synthesis.design import Design, observer_matrices
-from gains.synthesis.solver import DEFAULT, ROBUST, gain_energy, minimise
+from gains.synthesis.solver import DEFAULT, ROBUST, gain_energy, solve_program
 
 Theorem = Literal["theorem1", "theorem2"]
 
@@ -140,6 +137,8 @@ def design_theorem(
     InaccurateError
         The solver stopped short and nothing it found passes the certificate.
     """
+    import cvxpy  # noqa: F401 - the first import takes seconds that do not belong to the design's time
+
     started = time.perf_counter()
     check_continuous(plant)
     for name, value in (("beta", beta), ("epsilon", epsilon), ("delta", delta), ("least bound", smallest_sqrt_mu)):
@@ -228,70 +227,84 @@ def _solve(
     terms: _Terms, epsilon: float, delta: float | None, mu_fixed: float | None = None
 ) -> tuple[_Solution | None, float]:
     """Minimise mu, or the energy of the gains at a fixed mu; None where there is no solution, and the seconds."""
+    import cvxpy as cp
+
     (nz, na), p, nw = terms.L1_A.shape, len(terms.C), terms.B.shape[1]
     a1 = na - nz
     E_z, E_a = np.eye(na)[:, :nz], np.eye(na)[:, nz:]
     C_b = terms.C[:, :nz]
+    P1, R1_T = cp.Variable((nz, nz), symmetric=True), cp.Variable((nz, p))
+    P, R2_T = E_z @ P1 @ E_z.T, np.zeros((na, p))
+    mu = cp.Variable()
     # The columns of Sigma_q in units of sqrt(mu), and P2 with them: numbers of one size for the solver.
     level = 1.0 if mu_fixed is None else math.sqrt(mu_fixed)
-    unknowns = Unknowns()
-    P1, R1_T, mu = unknowns.symmetric(nz), unknowns.matrix(nz, p), unknowns.matrix()
-    P2, L_P = level * unknowns.symmetric(a1), unknowns.matrix(a1, p)
-    P, R2_T = E_z @ P1 @ E_z.T + E_a @ P2 @ E_a.T, E_a @ L_P
     bound = mu if mu_fixed is None else 1.0
-    effect = E_z @ P1 - R2_T @ C_b
-    energies, constraints = [gain_energy(P1, R1_T)], [P1 >> 0.0, P2 >> 0.0]
+    effect = E_z @ P1
+    Sigma_q = np.zeros((na, nw))
+    energies, constraints = [gain_energy(P1, R1_T)], [P1 >> 0]
     if a1:
+        P2, L_P = level * cp.Variable((a1, a1), symmetric=True), cp.Variable((a1, p))
+        P, R2_T = P + E_a @ P2 @ E_a.T, E_a @ L_P
+        effect = effect - R2_T @ C_b
+        Sigma_q = E_a @ P2 @ terms.rate
         energies.append(gain_energy(P2, L_P))
-    injected = E_z @ R1_T + R2_T
-    half = E_z @ P1 @ terms.L1_A - injected @ terms.C - R2_T @ C_b @ terms.L1_A
+        constraints.append(P2 >> 0)
+    half = E_z @ P1 @ terms.L1_A - (E_z @ R1_T + R2_T) @ terms.C - R2_T @ C_b @ terms.L1_A
     Sigma_11 = half + half.T + np.eye(na)
-    Sigma_q = (E_a @ P2 @ terms.rate + effect @ terms.B - injected @ terms.D - R2_T @ terms.D_rate) / level
+    Sigma_q = (Sigma_q + effect @ terms.B - (E_z @ R1_T + R2_T) @ terms.D - R2_T @ terms.D_rate) / level
     young = R2_T @ C_b + epsilon * (R1_T @ terms.C).T
-    Z = _multiplier(terms, unknowns, constraints)
+    Z = _multiplier(terms, constraints)
     for vertex in range(terms.vertices):
         right, corner = [young, Sigma_q], [2.0 * epsilon * P1, bound * np.eye(nw)]
         if Z is not None:
-            X_T = block([[effect @ slope.X for slope in terms.slopes]])
+            X_T = cp.hstack([effect @ slope.X for slope in terms.slopes])
             H_Phi = np.vstack([slope.values[vertex] * slope.H @ E_z.T for slope in terms.slopes])
             right.append(X_T + (Z @ H_Phi).T)
             corner.append(2.0 * Z)
         if delta is not None:
             right.append(R2_T @ C_b)
             corner.append(2.0 * delta * P1)
-        rows = [[a if a is b else np.zeros((a.shape[0], b.shape[0])) for b in corner] for a in corner]
+        zero = [[np.zeros((a.shape[0], b.shape[0])) for b in corner] for a in corner]
+        rows = [[block if i == j else zero[i][j] for j in range(len(corner))] for i, block in enumerate(corner)]
         if delta is not None:
             rows[-1][1] = -delta / level * R1_T @ terms.D
             rows[1][-1] = rows[-1][1].T
-        matrix: list[list[Any]] = [[-Sigma_11, *(-part for part in right)]]
-        matrix += [[-part.T, *row] for part, row in zip(right, rows, strict=True)]
-        constraints.append(block(matrix) >> 0.0)
+        matrix = [[-Sigma_11, *(-block for block in right)]]
+        matrix += [[-block.T, *row] for block, row in zip(right, rows, strict=True)]
+        constraints.append(cp.bmat(matrix) >> 0)
     if mu_fixed is None:
-        objective = mu
+        program = cp.Problem(cp.Minimize(mu), constraints)
     else:
         constraints += [constraint for _, constraint in energies]
-        objective = trace(P) + total(energies)
-    status, seconds = minimise(objective, constraints, DEFAULT, ROBUST)
-    if status != "optimal" or np.linalg.eigvalsh(P.value)[0] <= 0.0:
+        program = cp.Problem(cp.Minimize(cp.trace(P) + sum(energy for energy, _ in energies)), constraints)
+    seconds = solve_program(program, DEFAULT, ROBUST)
+    if program.status == cp.INFEASIBLE or P1.value is None:
+        return None, seconds
+    P_value = np.asarray(P.value, dtype=np.float64)
+    if np.linalg.eigvalsh(P_value)[0] <= 0.0:
         return None, seconds
     return _Solution(
         K=np.linalg.solve(P1.value, R1_T.value),
-        L=np.linalg.solve(P2.value, L_P.value),
-        P=0.5 * (P.value + P.value.T),
-        mu=mu.number if mu_fixed is None else mu_fixed,
+        L=np.linalg.solve(P2.value, L_P.value) if a1 else np.zeros((0, p)),
+        P=0.5 * (P_value + P_value.T),
+        mu=float(mu.value) if mu_fixed is None else mu_fixed,
     ), seconds
 
 
-def _multiplier(terms: _Terms, unknowns: Unknowns, constraints: list[Constraint]) -> Any:
+def _multiplier(terms: _Terms, constraints: list[Any]) -> Any:
     """Return Z of the paper's form, None where no slope varies, and add what it has to meet."""
+    import cvxpy as cp
+
     count = len(terms.slopes)
     if not count:
         return None
     width = len(terms.slopes[0].H)
-    blocks: dict[tuple[int, int], AffineMatrix] = {}
-    for pair in combinations_with_replacement(range(count), 2):
-        blocks[pair] = blocks[pair[::-1]] = unknowns.symmetric(width)
-        constraints.append(blocks[pair] >> 0.0)
-    Z = block([[blocks[i, j] for j in range(count)] for i in range(count)])
-    constraints.append(Z >> 0.0)
+    blocks: list[list[Any]] = [[None] * count for _ in range(count)]
+    for i in range(count):
+        for j in range(i, count):
+            block = cp.Variable((width, width), symmetric=True)
+            constraints.append(block >> 0)
+            blocks[i][j] = blocks[j][i] = block
+    Z = cp.bmat(blocks)
+    constraints.append(Z >> 0)
     return Z

@@ -27,7 +27,6 @@ from adapters.errors import InfeasibleError
 from gains.analysis.augment import slope_matrix, slope_vertices
 from gains.plants.plant import Plant
 from gains.published.lmi import block_matrix, confirmed, solve_lmi
-from gains.synthesis.affine_matrix import Unknowns, zero
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
 from gains.synthesis.solver import gain_energy
 
@@ -51,6 +50,8 @@ def design_zhang2008(
     InaccurateError
         The error system of the gains is not stable.
     """
+    import cvxpy as cp
+
     started = time.perf_counter()
     check_continuous(plant)
     if plant.sensor_faults:
@@ -64,18 +65,18 @@ def design_zhang2008(
     if not (sigma > 0.0 and mu_z > 0.0 and learning_rate > 0.0):
         raise InfeasibleError(f"{plant.name}: zhang2008 needs positive sigma, mu_z and learning rate")
     C, E = plant.C, plant.E_f
-    unknowns = Unknowns()
-    P, Y, F_z, G_z = unknowns.symmetric(n), unknowns.matrix(n, p), unknowns.matrix(a1, p), unknowns.symmetric(a1)
+    P, Y, F_z = cp.Variable((n, n), symmetric=True), cp.Variable((n, p)), cp.Variable((a1, p))
+    G_z = cp.Variable((a1, a1), symmetric=True)
     energy, energetic = gain_energy(P, Y)
-    constraints = [P >> np.eye(n), G_z >> 0.0, zero(F_z @ C - E.T @ P), energetic]
+    constraints = [P >> np.eye(n), G_z >> 0, F_z @ C == E.T @ P, energetic]
     for slopes in slope_vertices(plant):
         A = plant.A + plant.G @ slope_matrix(plant, slopes) @ plant.H
         S = P @ A - Y @ C
         corner = -(2.0 / sigma) * (E.T @ P @ E) + G_z / (sigma * mu_z)
         M = block_matrix([[S + S.T + 2.0 * decay * P, -(S.T @ E) / sigma], [corner]])
-        constraints.append(0.5 * (M + M.T) << 0.0)
+        constraints.append(0.5 * (M + M.T) << 0)
     why = "the slopes are too wide, or E_f' P = F_z C cannot be met (a fault does not show in the rate of an output)"
-    seconds = solve_lmi(energy, constraints, plant, "zhang2008", why)
+    seconds = solve_lmi(cp.Problem(cp.Minimize(energy), constraints), plant, "zhang2008", why)
     L = np.linalg.solve(P.value, Y.value)
     L_p = learning_rate * np.linalg.solve(E.T @ P.value @ E, F_z.value)
     x, q, y = np.split(np.eye(n + a1 + p), [n, n + a1])

@@ -35,17 +35,16 @@ stable. A range of decay rates [low, high] is asked for with the same P: T + T^T
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from adapters.errors import InfeasibleError
 from gains.analysis.augment import Augmentation, ErrorModel, FreeRows
 from gains.plants.plant import FloatArray
-from gains.synthesis.affine_matrix import AffineMatrix, Constraint, Unknowns, block, trace, within, zero
 from gains.synthesis.conditioning import Coordinates, with_floor
 from gains.synthesis.design import ObserverMatrices, observer_matrices
-from gains.synthesis.solver import DEFAULT, ROBUST, bordered, gain_energy, minimise
+from gains.synthesis.solver import DEFAULT, ROBUST, bordered, gain_energy, solve_program
 
 _LEAST_MU_WEIGHT = 1e-4
 """Keeps mu bounded where h2 = 1 asks for the other norm alone. Smaller, it leaves mu loose (measured on the arm,
@@ -187,10 +186,12 @@ def inequality(
     )
 
 
-class _Unknowns(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class _Unknowns:
     """Unknowns of the inequality, and products with them that several of its blocks hold.
 
-    ``P`` is known where it is given; the multipliers ``bound`` and ``decay`` are diagonal.
+    ``P`` is a constant where it is given; ``L_p``, ``C_f`` and ``D_f`` are None without actuator faults, the
+    multipliers ``bound`` and ``decay`` without slopes that need them.
     """
 
     P: Any
@@ -222,33 +223,37 @@ def solve_bounded_real(problem: Inequality, fixed: tuple[float, float] | None = 
     InfeasibleError
         The inequality has no solution.
     """
+    import cvxpy as cp
+
     x = _unknowns(problem)
-    margin = x.mu.unknowns.matrix()
-    slack, constraints = (0.0, []) if fixed is None else (margin, [zero(x.mu - fixed[0])])
+    margin = cp.Variable()
+    slack, constraints = (0.0, []) if fixed is None else (margin, [x.mu == fixed[0]])
     for vertex in range(len(problem.A)):
         PA = _moved(problem, x, vertex)
         constraints.append(_bounded_real(problem, x, PA, slack))
         if problem.pole_radius < 1.0:
             constraints.append(_decaying(problem, x, PA, slack))
-    share, noise_energy = problem.h2, 0.0 * x.mu
+    share = problem.h2
+    noise_energy: Any = 0.0
     if share > 0.0:
         noise_energy, holds = _noise_energy(problem, x)
         constraints.append(holds)
         if fixed is not None:
             constraints.append(noise_energy <= fixed[1])
     if problem.gain_bound < np.inf:
-        constraints += _bounded(problem, x)
+        constraints += _bounded(problem, x.P, x.R, x.L_p)
     if fixed is None:
         gain_energy, holds = _gain_energy(problem, x)
         constraints.append(holds)
         worst_case = max(1.0 - share, _LEAST_MU_WEIGHT) * x.mu
-        objective = worst_case + share * noise_energy + problem.gain_weight * gain_energy
+        objective = cp.Minimize(worst_case + share * noise_energy + problem.gain_weight * gain_energy)
     else:
-        objective = -margin
-    status, seconds = minimise(objective, constraints, ROBUST)
-    if status == "infeasible":
+        objective = cp.Maximize(margin)
+    program = cp.Problem(objective, constraints)
+    seconds = solve_program(program, ROBUST)
+    if program.status == cp.INFEASIBLE:
         raise InfeasibleError(_reason(problem))
-    solution = _solution(x, noise_energy)
+    solution = _solution(x, float(noise_energy.value or 0.0) if share > 0.0 else 0.0)
     return None if solution is None or not solution.mu > 0.0 else solution, seconds
 
 
@@ -262,6 +267,8 @@ def solve_continuous(problem: Inequality, low: float, high: float) -> tuple[Solu
     InfeasibleError
         The inequality has no solution.
     """
+    import cvxpy as cp
+
     x = _unknowns(problem)
     gain_energy, holds = _gain_energy(problem, x)
     # ahead of the others it lets the solver prove that rates are out of reach; behind them the solver stops short
@@ -271,54 +278,64 @@ def solve_continuous(problem: Inequality, low: float, high: float) -> tuple[Solu
         inside = -(PA + PA.T)
         across, bounded = -x.PB - problem.C_x.T @ problem.D_x, _bound(problem, x)
         rows = [[inside - problem.C_x.T @ problem.C_x, across], [across.T, bounded]]
-        constraints.append(bordered(rows, [x.C_f, x.D_f]) >> 0.0)
+        constraints.append(bordered(rows, [] if x.L_p is None else [x.C_f, x.D_f]) >> 0)
         if low > 0.0:
-            constraints.append(inside - 2.0 * low / problem.omega * x.P >> 0.0)
+            constraints.append(inside - 2.0 * low / problem.omega * x.P >> 0)
         if high < np.inf:
-            constraints.append(2.0 * high / problem.omega * x.P - inside >> 0.0)
-    status, seconds = minimise(x.mu + problem.gain_weight * gain_energy, constraints, DEFAULT, ROBUST)
-    if status == "infeasible":
+            constraints.append(2.0 * high / problem.omega * x.P - inside >> 0)
+    program = cp.Problem(cp.Minimize(x.mu + problem.gain_weight * gain_energy), constraints)
+    seconds = solve_program(program, DEFAULT, ROBUST)
+    if program.status == cp.INFEASIBLE:
         asked = "" if (low, high) == (0.0, np.inf) else f" at rates from {low:g} to {high:g} rad/s"
         raise InfeasibleError(_reason(problem, asked))
-    return _solution(x, 0.0 * x.mu), seconds
+    return _solution(x, 0.0), seconds
 
 
 def _unknowns(problem: Inequality) -> _Unknowns:
+    """Return the unknowns, P as a constant in the solver's coordinates where it is given."""
+    import cvxpy as cp
+
     (na, _), p, a1, k, free = problem.B.shape, len(problem.C), problem.a1, len(problem.H), len(problem.basis)
-    unknowns, S = Unknowns(), problem.coordinates.S
-    given = None if problem.P is None else unknowns.known(S.T @ problem.P @ S / problem.coordinates.mu)
-    P = unknowns.symmetric(na) if given is None else given
-    R, L_p, Yb = unknowns.matrix(na, p), unknowns.matrix(a1, p), unknowns.matrix(na, free)
+    S = problem.coordinates.S
+    given = None if problem.P is None else S.T @ problem.P @ S / problem.coordinates.mu
+    P = cp.Variable((na, na), symmetric=True) if given is None else cp.Constant(given)
+    R, L_p = cp.Variable((na, p)), cp.Variable((a1, p)) if a1 else None
+    Yb = cp.Variable((na, free)) if free else None
     return _Unknowns(
         P=P,
         R=R,
         Yb=Yb,
         L_p=L_p,
-        mu=unknowns.matrix(),
-        bound=unknowns.diagonal(k),
-        decay=unknowns.diagonal(k),
-        PB=P @ problem.B - R @ problem.D + Yb @ problem.free.B,
-        PG=P @ problem.G + Yb @ problem.free.G,
-        C_f=problem.C_f0 - L_p @ problem.C,
-        D_f=-L_p @ problem.D,
+        mu=cp.Variable(),
+        bound=cp.Variable(k) if k else None,
+        decay=cp.Variable(k) if k else None,
+        PB=_with_free(P @ problem.B - R @ problem.D, Yb, problem.free.B),
+        PG=_with_free(P @ problem.G, Yb, problem.free.G),
+        C_f=None if L_p is None else problem.C_f0 - L_p @ problem.C,
+        D_f=None if L_p is None else -L_p @ problem.D,
     )
+
+
+def _with_free(product: Any, Yb: Any, rows: FloatArray) -> Any:
+    """Return P X with what the left inverse adds to it."""
+    return product if Yb is None else product + Yb @ rows
 
 
 def _moved(problem: Inequality, x: _Unknowns, vertex: int) -> Any:
     """Return P A of the closed error system at a vertex, or at the mean with multipliers."""
-    return x.P @ problem.A[vertex] - x.R @ problem.C + x.Yb @ problem.free.A[vertex]
+    return _with_free(x.P @ problem.A[vertex] - x.R @ problem.C, x.Yb, problem.free.A[vertex])
 
 
 def _bounded_real(problem: Inequality, x: _Unknowns, PA: Any, slack: Any) -> Any:
     """Return the inequality of the module's docstring at one vertex, or at the mean with multipliers."""
     (na, nw), a1, k = problem.B.shape, problem.a1, len(problem.H)
-    rows: list[list[Any]] = [
+    rows = [
         [x.P, PA, x.PB],
         [PA.T, x.P - problem.C_x.T @ problem.C_x, -problem.C_x.T @ problem.D_x],
         [x.PB.T, -problem.D_x.T @ problem.C_x, _bound(problem, x)],
     ]
     # The rows of e that hold an unknown: no Schur complement takes them out.
-    border = [np.zeros((a1, na)), x.C_f, x.D_f, np.zeros((a1, k))]
+    border = [] if x.L_p is None else [np.zeros((a1, na)), x.C_f, x.D_f, *([np.zeros((a1, k))] if k else [])]
     return bordered(_sloped(rows, x.PG, problem.H, x.bound), border) >> slack * np.eye(2 * na + nw + k + a1)
 
 
@@ -329,41 +346,54 @@ def _bound(problem: Inequality, x: _Unknowns) -> Any:
 
 def _decaying(problem: Inequality, x: _Unknowns, PA: Any, slack: Any) -> Any:
     """Return [P, P A; *, r^2 P] >= 0 at one vertex, or at the mean with multipliers: poles within r."""
+    import cvxpy as cp
+
     rows = [[x.P, PA], [PA.T, problem.pole_radius**2 * x.P]]
-    return block(_sloped(rows, x.PG, problem.H, x.decay)) >> slack * np.eye(2 * len(problem.B) + len(problem.H))
+    return cp.bmat(_sloped(rows, x.PG, problem.H, x.decay)) >> slack * np.eye(2 * len(problem.B) + len(problem.H))
 
 
-def _noise_energy(problem: Inequality, x: _Unknowns) -> tuple[AffineMatrix, Constraint]:
+def _noise_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
     """Return trace(W) and the constraint W >= (P B - R D)^T P^-1 (P B - R D) + D_e^T D_e: the squared H2 norm."""
+    import cvxpy as cp
+
     na, nw = problem.B.shape
-    W = x.mu.unknowns.symmetric(nw)
-    border = [x.D_f, np.zeros((problem.a1, na))]
-    return trace(W), bordered([[W - problem.D_x.T @ problem.D_x, x.PB.T], [x.PB, x.P]], border) >> 0.0
+    W = cp.Variable((nw, nw), symmetric=True)
+    border = [] if x.L_p is None else [x.D_f, np.zeros((problem.a1, na))]
+    return cp.trace(W), bordered([[W - problem.D_x.T @ problem.D_x, x.PB.T], [x.PB, x.P]], border) >> 0
 
 
-def _gain_energy(problem: Inequality, x: _Unknowns) -> tuple[AffineMatrix, Constraint]:
+def _gain_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
     """Return trace(Z) and the constraint Z >= R^T P^-1 R + L_p^T L_p: what an innovation puts into the error.
 
     What an output puts there through what moves the left inverse is priced alike: a move that gains nothing stays out.
     """
-    free = problem.free.F if len(problem.basis) else np.zeros((0, 0))
-    na, a1 = len(problem.B), problem.a1
-    border = [block([[x.L_p, np.zeros((a1, free.shape[1]))]]), np.zeros((a1, na))]
-    return gain_energy(x.P, block([[x.R, x.Yb @ free]]), border)
+    import cvxpy as cp
+
+    if x.Yb is None:
+        return gain_energy(x.P, x.R, () if x.L_p is None else (x.L_p, np.zeros((x.L_p.shape[0], x.R.shape[0]))))
+    gains = cp.hstack([x.R, x.Yb @ problem.free.F])
+    if x.L_p is None:
+        return gain_energy(x.P, gains)
+    a1, p = x.L_p.shape
+    return gain_energy(x.P, gains, (cp.hstack([x.L_p, np.zeros((a1, p))]), np.zeros((a1, x.R.shape[0]))))
 
 
-def _solution(x: _Unknowns, noise_energy: AffineMatrix) -> Solution | None:
+def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
     """Return the values of the unknowns, None where the solver left none with P > 0."""
-    if not np.all(np.isfinite(x.P.value)) or np.linalg.eigvalsh(x.P.value)[0] <= 0.0:
+    values = [y.value for y in (x.P, x.R, x.Yb, x.L_p, x.mu) if y is not None]
+    if not all(value is not None and np.all(np.isfinite(value)) for value in values):
         return None
+    if np.linalg.eigvalsh(x.P.value)[0] <= 0.0:
+        return None
+    none = np.zeros(0 if x.bound is None else x.bound.size)
     return Solution(
         P=x.P.value,
         R=x.R.value,
-        Yb=x.Yb.value,
-        L_p=x.L_p.value,
-        mu=x.mu.number,
-        noise_energy=noise_energy.number,
-        multipliers=np.array([np.diag(x.bound.value), np.diag(x.decay.value)]),
+        Yb=np.zeros((x.R.shape[0], 0)) if x.Yb is None else x.Yb.value,
+        L_p=np.zeros((0, x.R.shape[1])) if x.L_p is None else x.L_p.value,
+        mu=float(x.mu.value),
+        noise_energy=noise_energy,
+        multipliers=np.array([none if y is None or y.value is None else y.value for y in (x.bound, x.decay)]),
     )
 
 
@@ -387,26 +417,27 @@ def user_design(problem: Inequality, solution: Solution, augmentation: Augmentat
     return observer_matrices(augmentation.moved(Y @ problem.basis), *gains)
 
 
-def _bounded(problem: Inequality, x: _Unknowns) -> list[Constraint]:
+def _bounded(problem: Inequality, P: Any, R: Any, L_p: Any) -> list[Any]:
     """Return constraints that bound the gains: of every entry for a given P, else of Kb, L_i and L_p by size.
 
     With P >= kappa I and V >= [Kb; L_i]^T P [Kb; L_i] in the user's units, V_jj <= X^2 kappa bounds the columns of
     [Kb; L_i] by X: sufficient (K has L1 E_f L_p less) and linear in P, R, V and kappa. It asks for more than the
     entries need, so that a looser bound of [Kb; L_i] can still keep them within theirs.
     """
-    P, R, L_p, unknowns = x.P, x.R, x.L_p, x.mu.unknowns
-    bound = problem.gain_bound * (1.0 - _INSIDE)
+    import cvxpy as cp
+
+    p, bound, none = R.shape[1], problem.gain_bound * (1.0 - _INSIDE), np.zeros((0, R.shape[1]))
     if problem.P is not None:
-        entries = user_gains(problem, np.linalg.inv(P.constant) @ R, L_p)
-        return [constraint for gain in entries for constraint in within(gain, bound)]
+        entries = user_gains(problem, np.linalg.inv(P.value) @ R, none if L_p is None else L_p)
+        return [cp.abs(gain) <= bound for gain in entries if gain.shape[0]]
     S, inverse = problem.coordinates.S, np.linalg.inv(problem.coordinates.Y)
     size = np.linalg.norm(S, 2)
-    V, kappa = unknowns.symmetric(R.shape[1]), unknowns.matrix()
-    constraints = [block([[V, R.T], [R, P]]) >> 0.0, P - kappa * (S.T @ S / size**2) >> 0.0]
-    columns = (inverse * (size / (problem.looseness * bound))).T
-    constraints += [column[None] @ V @ column[:, None] <= kappa for column in columns]
-    direct = np.diag(problem.direct / bound) @ L_p @ inverse
-    return [*constraints, *within(direct, min(problem.looseness, 1.0))]
+    V, kappa = cp.Variable((p, p), symmetric=True), cp.Variable()
+    constraints = [cp.bmat([[V, R.T], [R, P]]) >> 0, P - kappa * (S.T @ S / size**2) >> 0]
+    constraints += [column @ V @ column <= kappa for column in (inverse * (size / (problem.looseness * bound))).T]
+    if L_p is not None:
+        constraints.append(cp.abs(np.diag(problem.direct / bound) @ L_p @ inverse) <= min(problem.looseness, 1.0))
+    return constraints
 
 
 def _reason(problem: Inequality, asked: str = "") -> str:
@@ -426,7 +457,12 @@ def _reason(problem: Inequality, asked: str = "") -> str:
 
 def _sloped(rows: list[list[Any]], PG: Any, H: FloatArray, multipliers: Any) -> list[list[Any]]:
     """Return block rows with the S-procedure: H^T Lambda H taken off the second block, [PG; 0; Lambda] added."""
-    rows[1][1] = rows[1][1] - H.T @ multipliers @ H
+    import cvxpy as cp
+
+    if multipliers is None:
+        return rows
+    Lambda = cp.diag(multipliers)
+    rows[1][1] = rows[1][1] - H.T @ Lambda @ H
     column = [PG, *(np.zeros((row[0].shape[0], len(H))) for row in rows[1:])]
-    extended = [[*row, part] for row, part in zip(rows, column, strict=True)]
-    return [*extended, [*(part.T for part in column), multipliers]]
+    extended = [[*row, block] for row, block in zip(rows, column, strict=True)]
+    return [*extended, [*(block.T for block in column), Lambda]]

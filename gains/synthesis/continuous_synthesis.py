@@ -24,13 +24,12 @@ from gains.analysis.augment import ErrorModel, augment, error_model
 from gains.analysis.estimability import check_existence
 from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.affine_matrix import Unknowns
 from gains.synthesis.bounded_real import inequality, solve_continuous, user_design
 from gains.synthesis.certificate import ClosedErrorSystem, certify, closed_error_system
 from gains.synthesis.conditioning import FLOOR, Coordinates, doubled
 from gains.synthesis.continuous_observer import check_continuous
 from gains.synthesis.design import Design
-from gains.synthesis.solver import DEFAULT, ROBUST, bordered, minimise
+from gains.synthesis.solver import DEFAULT, ROBUST, bordered, solve_program
 
 GAIN_WEIGHT = 1e-4
 """Price of the gains. Measured on the disturbed arm, whose least bound is .14517: .14526 with a fastest pole of 223
@@ -67,6 +66,8 @@ def design_continuous(
     InaccurateError
         The solver stopped short and nothing it found passes the certificate.
     """
+    import cvxpy  # noqa: F401 - the first import takes seconds that do not belong to the design's time
+
     started = time.perf_counter()
     check_continuous(plant)
     low, high = decay
@@ -181,16 +182,20 @@ def proofs(system: ClosedErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArra
 
 def _proof(system: ClosedErrorSystem, mu_fixed: float | None = None) -> tuple[float | None, FloatArray, float]:
     """Minimise mu over P, or at a fixed mu find the P farthest inside; mu, P and seconds."""
-    (na, nw), unknowns = system.B.shape, Unknowns()
-    P, mu, margin = unknowns.symmetric(na), unknowns.matrix(), unknowns.matrix()
+    import cvxpy as cp
+
+    na, nw = system.B.shape
+    P, mu, margin = cp.Variable((na, na), symmetric=True), cp.Variable(), cp.Variable()
     bound, slack = (mu, 0.0) if mu_fixed is None else (mu_fixed, margin)
-    constraints = [P >> 0.0]
+    constraints = [P >> 0]
     for A in system.A:
         PA, PB = P @ A, P @ system.B
         rows = [[-(PA + PA.T), -PB], [-PB.T, bound * np.eye(nw)]]
         inequality = bordered(rows, [system.C, system.D])
         constraints.append(inequality >> slack * np.eye(2 * na + nw))
-    status, seconds = minimise(mu if mu_fixed is None else -margin, constraints, DEFAULT, ROBUST)
-    if status != "optimal":
-        return None, P.value, seconds
-    return mu.number if mu_fixed is None else mu_fixed, P.value, seconds
+    objective = cp.Minimize(mu) if mu_fixed is None else cp.Maximize(margin)
+    seconds = solve_program(cp.Problem(objective, constraints), DEFAULT, ROBUST)
+    value = mu.value if mu_fixed is None else mu_fixed
+    if P.value is None or value is None:
+        return None, np.zeros((0, 0)), seconds
+    return float(value), P.value, seconds

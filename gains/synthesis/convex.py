@@ -127,6 +127,8 @@ def design_convex(
     InaccurateError
         The solver stopped short and nothing it found passes the certificate.
     """
+    import cvxpy  # noqa: F401 - the first import takes seconds that do not belong to the design's time
+
     started = time.perf_counter()
     rate_hz = plant.rate_hz if rate_hz is None else rate_hz
     if rate_hz is None:
