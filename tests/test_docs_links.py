@@ -3,23 +3,20 @@
 import argparse
 import re
 import shutil
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 import tomli_w
+from markup import table
+from reference import PAGES
+from repository_links import is_outside_link, link_targets, repository_pages, resolved, rewritten, site_path
 
 import fauio
 from adapters.errors import ModelError, ProfileError
 from adapters.toml_tables import TomlFile
 from gains.plants.model_file import read_plant
 from monitor.profile import read_profile
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "docs/hooks"))
-from markup import table
-from reference import PAGES
-from repository_links import is_outside_link, link_targets, repository_pages, resolved, rewritten, site_path
 
 ROOT = Path(__file__).parents[1]
 GENERATED = {f"docs/{place}": render() for place, render in PAGES.items()}

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+import tlog_sender
 
 import fauio
 from adapters.logs.recordings import read_recording
@@ -67,8 +68,7 @@ def wait_for_monitor(subscriber: AlarmSubscriber) -> None:
 def send(live: Live, log: Path, speed: float) -> None:
     command = [
         sys.executable,
-        "-m",
-        "adapters.simulation.tlog_sender",
+        tlog_sender.__file__,
         str(log),
         f"udp:{live.udp}",
         "--speed",

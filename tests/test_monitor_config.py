@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from config_page import config_page
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from adapters.errors import ConfigError
 from monitor.configuration.config import Config, NewVehicles, Vehicle, entries, read_config
-from monitor.configuration.config_page import config_page
 from monitor.profile import Profile
 
 ROOT = Path(__file__).parent.parent
@@ -262,7 +262,7 @@ def test_the_worked_example_is_right_and_shows_every_key(tmp_path: Path) -> None
 
 def test_the_reference_page_is_up_to_date() -> None:
     assert (ROOT / "docs/config.md").read_text() == config_page(), (
-        "run python -m monitor.configuration.config_page > docs/config.md"
+        "run python docs/hooks/config_page.py > docs/config.md"
     )
 
 

@@ -64,15 +64,6 @@ class HealthCollector(Collector):
             yield family
 
 
-def metrics_table() -> str:
-    """Return all metrics as a Markdown table."""
-    rows = [
-        f"| `{row.name}` | {row.kind} | {', '.join(row.labels)} | {row.help} |"
-        for row in sorted(METRICS, key=lambda row: row.name)
-    ]
-    return "\n".join(["| metric | type | labels | what |", "|---|---|---|---|", *rows])
-
-
 def _latency_histogram(row: MetricRow, health: Health) -> HistogramMetricFamily:
     family = HistogramMetricFamily(row.name, row.help, labels=row.labels)
     for vehicle in health.vehicles:

@@ -75,11 +75,6 @@ class LiveView:
         return view
 
     @property
-    def showing(self) -> bool:
-        """Whether a Rerun process is there."""
-        return self._process is not None
-
-    @property
     def dropped(self) -> int:
         """Rows and events dropped because they were not read in time."""
         return sum(view.dropped for view in self._vehicles.values())

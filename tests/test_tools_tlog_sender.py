@@ -9,13 +9,14 @@ import threading
 from pathlib import Path
 
 import pytest
+import tlog_sender
+from tlog_sender import main, send_tlog
 
 from adapters.batch import messages as each
 from adapters.errors import TelemetryError
 from adapters.logs.tlog import read_tlog
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.message import Message
-from adapters.simulation.tlog_sender import main, send_tlog
 
 ROOT = Path(__file__).parent.parent
 FLIGHT = ROOT / "tests" / "data" / "copter_5s.tlog.xz"
@@ -74,8 +75,7 @@ def test_a_part_of_the_log_is_sent(port: int) -> None:
 def test_another_process_sends_from_the_command_line(port: int) -> None:
     command = [
         sys.executable,
-        "-m",
-        "adapters.simulation.tlog_sender",
+        tlog_sender.__file__,
         str(FLIGHT),
         f"udp:127.0.0.1:{port}",
         "--speed",

@@ -1,6 +1,6 @@
 """The reference page of the configuration, written from its models.
 
-``python -m monitor.configuration.config_page > docs/config.md`` brings it up to date.
+``python docs/hooks/config_page.py > docs/config.md`` brings it up to date.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ line override its keys. Paths are relative to the file. Everything is checked be
 are reported at once, a line each: `FILE:LINE: 'key' what is wrong; what to do`. Keys of the top level stand above the
 first table. A worked example: [config-example.toml](config-example.toml).
 
-This page is written by `python -m monitor.configuration.config_page`.
+This page is written by `python docs/hooks/config_page.py`.
 """
 
 
