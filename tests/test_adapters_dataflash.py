@@ -11,9 +11,8 @@ import pytest
 from dataflash_writer import DataflashWriter
 from onboard_flights import messages_of
 
-from adapters.logs.damage import scan_damage
+from adapters.logs.damage import ScanStatistics, scan_damage
 from adapters.logs.dataflash import CODES, DataflashReader
-from adapters.logs.onboard_log import OnboardLogStatistics
 from adapters.message import Message
 from adapters.source import DATAFLASH
 
@@ -48,7 +47,7 @@ LOG = flight()
 FLIGHT = bytes(LOG.data)
 
 
-def read(tmp_path: Path, data: bytes) -> tuple[list[Message], OnboardLogStatistics]:
+def read(tmp_path: Path, data: bytes) -> tuple[list[Message], ScanStatistics]:
     path = tmp_path / "a.bin"
     path.write_bytes(data)
     reader = DataflashReader(path, utc_minus_boot_ns=0)

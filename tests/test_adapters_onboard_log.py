@@ -23,9 +23,8 @@ from ulog_writer import UlogWriter
 
 from adapters.errors import TelemetryError
 from adapters.logs import compressed
-from adapters.logs.damage import scan_damage
+from adapters.logs.damage import ScanStatistics, scan_damage
 from adapters.logs.dataflash import DataflashReader
-from adapters.logs.onboard_log import OnboardLogStatistics
 from adapters.logs.ulog import DROPOUT, TEXT, UlogReader
 from adapters.message import Message
 
@@ -44,7 +43,7 @@ class Kind:
     refused: bytes
     reader: Callable[..., Any]
 
-    def read(self, folder: Path, data: bytes, **options: Any) -> tuple[list[Message], OnboardLogStatistics]:
+    def read(self, folder: Path, data: bytes, **options: Any) -> tuple[list[Message], ScanStatistics]:
         path = folder / f"a{self.suffix}"
         path.write_bytes(data)
         reader = self.reader(path, options.pop("only", None), 0, **options)

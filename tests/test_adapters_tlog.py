@@ -15,7 +15,8 @@ from onboard_flights import messages_of
 
 from adapters.errors import TelemetryError
 from adapters.logs import compressed
-from adapters.logs.tlog import TlogReader, TlogStatistics, read_tlog
+from adapters.logs.damage import ScanStatistics
+from adapters.logs.tlog import TlogReader, read_tlog
 from adapters.message import Message
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
@@ -35,7 +36,7 @@ def records(raw: bytes) -> list[bytes]:
 RECORDS = records(RAW)
 
 
-def read(tmp_path: Path, raw: bytes) -> tuple[list[Message], TlogStatistics]:
+def read(tmp_path: Path, raw: bytes) -> tuple[list[Message], ScanStatistics]:
     path = tmp_path / "a.tlog"
     path.write_bytes(raw)
     reader = TlogReader(path)
@@ -73,14 +74,14 @@ def test_compressed_logs_read_like_plain_ones(tmp_path: Path, suffix: str, pack:
     path.write_bytes(pack(RAW))
     reader = TlogReader(path)
     assert [key(one) for one in messages_of(reader)] == [key(one) for one in read_tlog(FLIGHT)]
-    assert reader.statistics() == TlogStatistics(2683, 0, 0, 0, broken_off=False)
+    assert reader.statistics() == ScanStatistics(2683, 0, 0, 0, broken_off=False)
 
 
 def test_only_the_wanted_messages_are_decoded() -> None:
     wanted = {"ATTITUDE", "HEARTBEAT"}
     reader = TlogReader(FLIGHT, wanted)
     assert [key(one) for one in messages_of(reader)] == [key(one) for one in read_tlog(FLIGHT) if one.name in wanted]
-    assert reader.statistics().packets == 2683
+    assert reader.statistics().records == 2683
     assert list(read_tlog(FLIGHT, ())) == []
 
 
@@ -106,7 +107,7 @@ def test_a_truncated_log_gives_every_message_before_its_end(tmp_path_factory: py
         assert (found.damaged, found.unknown, found.skipped_bytes) == (0, 0, cut - size)
 
 
-def read_or_nothing(folder: Path, raw: bytes) -> tuple[list[Message], TlogStatistics | None]:
+def read_or_nothing(folder: Path, raw: bytes) -> tuple[list[Message], ScanStatistics | None]:
     try:
         return read(folder, raw)
     except TelemetryError:
@@ -147,7 +148,7 @@ def test_a_message_of_another_dialect_is_counted_and_passed_over(tmp_path: Path)
     unknown = RECORDS[0][:8] + bytes([0xFD, 2, 0, 0, 0, 1, 1]) + number + b"\xfd\xfe\x00\x00"
     messages, found = read(tmp_path, b"".join(RECORDS[:10]) + unknown + b"".join(RECORDS[10:20]))
     assert len(messages) == 20
-    assert found == TlogStatistics(21, 1, 0, 0, broken_off=False)
+    assert found == ScanStatistics(21, 1, 0, 0, broken_off=False)
 
 
 @pytest.mark.parametrize("piece_bytes", [5, 14, 1 << 16])
@@ -158,7 +159,7 @@ def test_what_is_found_does_not_depend_on_how_the_file_is_read(
     number = (59_999).to_bytes(3, "little")
     unknown = RECORDS[0][:8] + bytes([0xFD, 255, 1, 0, 0, 1, 1]) + number + bytes(270)
     _, found = read(tmp_path, RECORDS[0] + unknown * 20 + RECORDS[1])
-    assert found == TlogStatistics(22, 20, 0, 0, broken_off=False)
+    assert found == ScanStatistics(22, 20, 0, 0, broken_off=False)
 
 
 @pytest.mark.parametrize("content", [b"\x00", b"not a log at all, just text" * 100, bytes(5000), b"\xfd" * 5000])

@@ -19,7 +19,8 @@ from packet_stream import PacketStream
 from adapters.batch import messages
 from adapters.errors import TelemetryError
 from adapters.logs import compressed
-from adapters.logs.tlog import TlogReader, TlogStatistics
+from adapters.logs.damage import ScanStatistics
+from adapters.logs.tlog import TlogReader
 from adapters.mavlink.mavlink_message import mavlink_types
 from adapters.message import Message
 
@@ -30,10 +31,10 @@ UNKNOWN = 59_999
 NUMBERS = [*sorted(mavlink_types()), UNKNOWN]
 START_US = 1_795_251_917_000_000
 
-Outcome = tuple[list[str], TlogStatistics]
+Outcome = tuple[list[str], ScanStatistics]
 
 
-def outcome(found: list[Message], statistics: TlogStatistics) -> Outcome:
+def outcome(found: list[Message], statistics: ScanStatistics) -> Outcome:
     # Not a number equals nothing; the text also tells int from float.
     return [repr(message) for message in found], statistics
 

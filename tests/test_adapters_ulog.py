@@ -14,7 +14,7 @@ from pyulog import ULog
 from ulog_writer import UlogWriter
 
 from adapters.errors import TelemetryError
-from adapters.logs.onboard_log import OnboardLogStatistics
+from adapters.logs.damage import ScanStatistics
 from adapters.logs.ulog import DROPOUT, INFORMATION, PARAMETER, PARAMETER_DEFAULT, TEXT, UlogReader
 from adapters.message import Message
 from adapters.source import ULOG
@@ -69,10 +69,10 @@ LOG = flight()
 FLIGHT = bytes(LOG.data)
 
 
-def read(tmp_path: Path, data: bytes) -> tuple[list[Message], OnboardLogStatistics]:
+def read(tmp_path: Path, data: bytes) -> tuple[list[Message], ScanStatistics]:
     path = tmp_path / "a.ulg"
     path.write_bytes(data)
-    reader = UlogReader(path, utc_minus_boot_us=0)
+    reader = UlogReader(path, utc_minus_boot_ns=0)
     return messages_of(reader), reader.statistics()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,23 +32,18 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-class Scan(Protocol):
-    """Counts of a reader that searches for the next intact record behind damage."""
+@dataclass(frozen=True, slots=True)
+class ScanStatistics:
+    """Counts of a reader that searches for the next intact record, or packet, behind damage."""
 
-    @property
-    def damaged(self) -> int:
-        """Places where the log was damaged."""
-
-    @property
-    def skipped_bytes(self) -> int:
-        """Bytes that belong to no intact record."""
-
-    @property
-    def broken_off(self) -> bool:
-        """Whether the log ends within a record."""
+    records: int = 0  # records of known kinds, wanted or not; packets of any
+    unknown: int = 0  # whole records of kinds that were not known when this was written; packets not in the dialect
+    damaged: int = 0  # places where the log was damaged
+    skipped_bytes: int = 0  # bytes that belong to no intact record
+    broken_off: bool = False  # whether the log ends within a record, or its compressed data early
 
 
-def scan_damage(file: str, scan: Scan) -> Damage | None:
+def scan_damage(file: str, scan: ScanStatistics) -> Damage | None:
     """Return the damage that such a reader found, None where it found none."""
     findings = []
     if scan.damaged:

@@ -6,31 +6,24 @@ are no checksums: damage shows only where there is no record.
 
 from __future__ import annotations
 
-import os
 import struct
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch
 from adapters.errors import TelemetryError
 from adapters.logs.onboard_log import (
-    READ_AHEAD_BYTES,
     FieldValues,
     LayoutField,
-    LogClock,
-    OnboardLogStatistics,
+    OnboardLogReader,
     RecordKind,
     RecordLayout,
     Records,
-    StartScan,
     Window,
-    first_relation,
     layout,
     record_text,
 )
@@ -65,14 +58,9 @@ _HEAD_BYTES = 3
 _FORMAT_KIND = 128
 _ARRAY = "a"
 _INSTANCE = "#"
-_SEARCHED_AT_ONCE = 1 << 16
-"""Bytes in which to look for the next record at a time. Chosen: little beside a batch, many beside a record."""
 _LARGEST_RECORD = 256
 _PADDING_BYTES = 528
 """Boards that log in blocks fill the last one up; pymavlink passes over as many bytes."""
-_RELATION = ("GWk", "GMS", "Week", "TimeMS", "Status")
-_SCANNED_BYTES = 1 << 20
-"""Bytes of a log read at a time to find its clock. Measured: twenty thousand records have 1.1 MB."""
 _GPS_EPOCH_S = 315_964_800
 _WEEK_S = 604_800
 # Since 2017; GPS time knows no leap seconds, and what the log holds is GPS time.
@@ -90,85 +78,37 @@ class _Format:
     defines: bool = False  # whether its records say what others look like
 
 
-class DataflashReader:
-    """Reads an onboard log of ArduPilot in the order it was written, over damage if need be, as batches.
+class DataflashReader(OnboardLogReader):
+    """Reads an onboard log of ArduPilot.
 
     Records come under their names, ``BARO/1`` being the second instance where the log says which field tells
-    instances apart (unit ``#``). Values are decoded as pymavlink's DFReader does. Time of arrival is the record's own
-    time since boot (``TimeUS``, in old logs ``TimeMS``) on the relation of boot to UTC in the first 3D fix of
-    ``GPS``; without any, boot is the start of 1970. Records without a time of the log's clock have that of the one
-    before (:class:`LogClock`). Of records whose format contradicts itself, as some of ArduPilot's own do, the fields
-    that fit are decoded. That a log ends within a record is no damage: it does wherever power is cut. Iterate once;
-    :meth:`statistics` tells what was found.
-
-    Parameters
-    ----------
-    path : str | PathLike
-        The log.
-    only : Collection[str] | None
-        Names of the messages wanted; None wants all.
-    utc_minus_boot_ns : int | None
-        Where that relation is known already; None looks for it in the log.
-    read_ahead_bytes : int
-        Bytes of the log, decompressed, in a batch.
-    clock : LogClock | None
-        What gives the records their times; None finds it in the log.
+    instances apart (unit ``#``). Values are decoded as pymavlink's DFReader does. Time since boot is ``TimeUS``, in old
+    logs ``TimeMS``; fixes are those of ``GPS`` in 3D. Of records whose format contradicts itself, as some of
+    ArduPilot's own do, the fields that fit are decoded. That a log ends within a record is no damage: it does wherever
+    power is cut. See :class:`OnboardLogReader`, whose parameters it takes.
     """
 
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        only: Collection[str] | None = None,
-        utc_minus_boot_ns: int | None = None,
-        read_ahead_bytes: int = READ_AHEAD_BYTES,
-        clock: LogClock | None = None,
-    ) -> None:
-        self._path = Path(path)
-        self._only = only
-        self._offset_ns = utc_minus_boot_ns
-        self._clock = clock
-        self._read_ahead_bytes = read_ahead_bytes
+    source = DATAFLASH
+    head_bytes = _HEAD_BYTES
+    largest_bytes = 2 * _LARGEST_RECORD
+    padding_bytes = _PADDING_BYTES
+    ends_anywhere = True
+    fixes = ("GPS",)
+    fix_fields = ("GWk", "GMS", "Week", "TimeMS", "Status")
+
+    def _begin(self) -> None:
         formats = self._format("FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")
         formats.defines = True
         # by the bytes that records begin with
         self._heads = {_head(_FORMAT_KIND): formats}
-        self._records = self._damaged = self._skipped_bytes = 0
-        self._broken_off = False
 
-    def statistics(self) -> OnboardLogStatistics:
-        """Return the counts so far."""
-        return OnboardLogStatistics(self._records, 0, self._damaged, self._skipped_bytes, self._broken_off)
-
-    def __iter__(self) -> Iterator[Batch]:
-        """Return the batches in which there are wanted messages.
-
-        Raises
-        ------
-        TelemetryError
-            The file cannot be opened or is no such log.
-        """
-        window = Window(self._path, self._read_ahead_bytes)
+    def _open(self, window: Window) -> None:
         if not window.fill(_HEAD_BYTES) or window.data[:_HEAD_BYTES] != _MARK + bytes([_FORMAT_KIND]):
             raise TelemetryError(
                 f"{self._path}: not a DataFlash log although its name says so; check where it came from"
             )
-        records = Records(DATAFLASH, self._clock or _log_clock(self._path, self._offset_ns), self._only)
-        while window.fill(_HEAD_BYTES):
-            if records.data is not window.data:
-                if records.start:
-                    yield records.batch()
-                records.data = window.data
-            self._chain(window, records)
-            if window.fill(_HEAD_BYTES) and not self._single(window):
-                break
-        if records.start:
-            yield records.batch()
-        # bytes that are left are of the record that was being written when power was cut
-        self._broken_off = window.cut
-        self._skipped_bytes += window.left
 
     def _chain(self, window: Window, records: Records) -> None:
-        """Take the records that follow one another among the bytes held."""
         data, at, heads = window.data, window.at, self._heads
         end = len(data)
         start, kind = records.start, records.kind
@@ -188,8 +128,8 @@ class DataflashReader:
         self._records += count
         window.at = at
 
-    def _single(self, window: Window) -> bool:
-        """Go on from what ends a chain to where the next record is; return whether there may be any."""
+    def _single(self, window: Window, records: Records) -> bool:
+        del records
         form = self._heads.get(window.data[window.at : window.at + _HEAD_BYTES])
         if form is None:
             return self._resume(window)
@@ -247,7 +187,7 @@ class DataflashReader:
         return window.data[at : at + _HEAD_BYTES] in self._heads
 
     def _standing(self, window: Window, searched: int) -> int | None:
-        """Return how many bytes ahead the next record with another behind it begins."""
+        # one that has another behind it
         start, at = window.at, window.at
         while (at := window.data.find(_MARK, at + 1, start + searched)) >= 0:
             form = self._heads.get(window.data[at : at + _HEAD_BYTES])
@@ -255,27 +195,15 @@ class DataflashReader:
                 return at - start
         return None
 
-    def _resume(self, window: Window, *, end: bool = False) -> bool:
-        """Move on to the next records; return False where there are none up to the end of the file."""
-        while True:
-            more = window.fill(_SEARCHED_AT_ONCE + 2 * _LARGEST_RECORD)
-            searched = _SEARCHED_AT_ONCE if more else window.left
-            ahead = self._standing(window, searched)
-            if ahead is not None or end or not more:
-                break
-            window.at += searched - 1
-            self._skipped_bytes += searched - 1
-        if ahead is None:
-            padding = not end and window.left <= _PADDING_BYTES and not window.cut
-            if not end:
-                self._damaged += not padding
-                self._skipped_bytes += 0 if padding else window.left
-                window.at += window.left
-            return False
-        self._damaged += 1
-        self._skipped_bytes += ahead
-        window.at += ahead
-        return True
+    @staticmethod
+    def relation(boot_ns: NDArray[np.int64], *fields: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return UTC minus time since boot by n records of GPS, and where there was a fix."""
+        week, ms, old_week, old_ms, status = fields
+        old = week <= 0
+        week, ms = np.where(old, old_week, week), np.where(old, old_ms, ms)
+        # weeks have 16 bits, milliseconds of a week 32: what damage makes of them fits
+        utc_ms = (_GPS_EPOCH_S + _WEEK_S * week - _LEAP_S) * 1_000 + ms
+        return utc_ms * 1_000_000 - boot_ns, (week > 0) & (status >= _FIX_3D)
 
 
 def _head(number: int) -> bytes:
@@ -318,31 +246,6 @@ def _texts(values: NDArray[np.void]) -> FieldValues:
 
 def _raw(values: NDArray[np.void]) -> FieldValues:
     return [bytes(value).decode("latin-1") for value in values.tolist()]
-
-
-def _log_clock(path: Path, utc_minus_boot_ns: int | None) -> LogClock:
-    """Return the clock of a log; UTC minus time since boot from its first 3D fix where that is not known."""
-    scan = StartScan()
-    start = scan.found(DataflashReader(path, read_ahead_bytes=_SCANNED_BYTES, clock=scan))
-    if utc_minus_boot_ns is not None:
-        return LogClock(utc_minus_boot_ns, start)
-    fixes = DataflashReader(path, ("GPS",), clock=LogClock(0, start))
-    return LogClock(first_relation(fixes, _RELATION, _relation) or 0, start)
-
-
-def _relation(
-    boot_ns: NDArray[np.int64],
-    week: NDArray[np.int64],
-    ms: NDArray[np.int64],
-    old_week: NDArray[np.int64],
-    old_ms: NDArray[np.int64],
-    status: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    old = week <= 0
-    week, ms = np.where(old, old_week, week), np.where(old, old_ms, ms)
-    # weeks have 16 bits, milliseconds of a week 32: what damage makes of them fits
-    utc_ms = (_GPS_EPOCH_S + _WEEK_S * week - _LEAP_S) * 1_000 + ms
-    return utc_ms * 1_000_000 - boot_ns, (week > 0) & (status >= _FIX_3D)
 
 
 def _whole(value: Any) -> int:

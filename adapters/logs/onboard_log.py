@@ -6,16 +6,18 @@ and notes only where they begin; :class:`Records` then decodes all of a kind at 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+import os
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, ClassVar, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, gathered
 from adapters.logs.compressed import CompressedFile
+from adapters.logs.damage import ScanStatistics
 from adapters.message import LATEST_NS, Message
 from adapters.source import Source
 
@@ -24,18 +26,13 @@ READ_AHEAD_BYTES: Final = 1 << 22
 s with 1 MB, 0.74 s with 4 MB and with 16 MB.
 """
 
+_SCANNED_BYTES = 1 << 20
+"""Bytes of a log read at a time to find its clock. Measured: twenty thousand records have 1.1 MB (ArduPilot) and 1.2 MB
+(PX4)."""
+_SEARCHED_AT_ONCE = 1 << 16
+"""Bytes in which to look for the next record at a time. Chosen: as many as the largest record of PX4 has."""
+
 FieldValues: TypeAlias = "NDArray[np.generic] | list[Any]"
-
-
-@dataclass(frozen=True, slots=True)
-class OnboardLogStatistics:
-    """Counts of a reader of onboard logs."""
-
-    records: int  # records of the log's own kinds, wanted or not
-    unknown: int  # whole records of kinds that the format did not know when this was written
-    damaged: int  # places where the log was damaged
-    skipped_bytes: int  # bytes that belong to no record
-    broken_off: bool  # whether the log ends within a record, or its compressed data early
 
 
 @dataclass(frozen=True, slots=True)
@@ -383,6 +380,140 @@ class Window:
     def cut(self) -> bool:
         """Whether the compressed data was damaged, as far as was read."""
         return self._source.damaged
+
+
+class OnboardLogReader:
+    """Reads an onboard log in the order it was written, over damage if need be, as batches.
+
+    Time of arrival is the record's own time since boot on the relation of boot to UTC in the first position fix in the
+    log; without any, boot is the start of 1970. Records without a time of the log's clock have that of the one before
+    (:class:`LogClock`). Iterate once; :meth:`statistics` tells what was found. Each kind of log says how its records
+    follow one another.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        The log.
+    only : Collection[str] | None
+        Names of the messages wanted; None wants all.
+    utc_minus_boot_ns : int | None
+        Where that relation is known already; None looks for it in the log.
+    read_ahead_bytes : int
+        Bytes of the log, decompressed, in a batch.
+    clock : LogClock | None
+        What gives the records their times; None finds it in the log.
+    """
+
+    source: ClassVar[Source]
+    head_bytes: ClassVar[int]  # least bytes of a record
+    largest_bytes: ClassVar[int]  # most bytes of a record and of the head of the next one
+    padding_bytes: ClassVar[int] = -1  # what may be left at the end and is no damage
+    ends_anywhere: ClassVar[bool] = False  # whether a log that ends within a record is whole
+    fixes: ClassVar[Collection[str]]  # names of the records of receivers of satellites
+    fix_fields: ClassVar[Sequence[str]]  # names of their fields that :meth:`relation` takes
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        only: Collection[str] | None = None,
+        utc_minus_boot_ns: int | None = None,
+        read_ahead_bytes: int = READ_AHEAD_BYTES,
+        clock: LogClock | None = None,
+    ) -> None:
+        self._path = Path(path)
+        self._only = only
+        self._offset_ns = utc_minus_boot_ns
+        self._read_ahead_bytes = read_ahead_bytes
+        self._clock = clock
+        self._head_ns: int | None = None
+        self._records = self._unknown = self._damaged = self._skipped_bytes = 0
+        self._broken_off = False
+        self._begin()
+
+    def statistics(self) -> ScanStatistics:
+        """Return the counts so far."""
+        return ScanStatistics(self._records, self._unknown, self._damaged, self._skipped_bytes, self._broken_off)
+
+    def __iter__(self) -> Iterator[Batch]:
+        """Return the batches in which there are wanted messages.
+
+        Raises
+        ------
+        TelemetryError
+            The file cannot be opened, is no such log, or needs a newer reader.
+        """
+        window = Window(self._path, self._read_ahead_bytes)
+        self._open(window)
+        records = Records(self.source, self._clock or self._log_clock(), self._only)
+        while window.fill(self.head_bytes):
+            if records.data is not window.data:
+                if records.start:
+                    yield records.batch()
+                records.data = window.data
+            self._chain(window, records)
+            if window.fill(self.head_bytes) and not self._single(window, records):
+                break
+        if records.start:
+            yield records.batch()
+        self._broken_off = window.cut or (window.left > 0 and not self.ends_anywhere)
+        self._skipped_bytes += window.left
+
+    def _log_clock(self) -> LogClock:
+        """Return the clock of the log; UTC minus time since boot from its first fix where that is not known."""
+        scan = StartScan()
+        start = scan.found(type(self)(self._path, read_ahead_bytes=_SCANNED_BYTES, clock=scan), self._head_ns)
+        if self._offset_ns is not None:
+            return LogClock(self._offset_ns, start)
+        fixes = type(self)(self._path, self.fixes, clock=LogClock(0, start))
+        return LogClock(first_relation(fixes, self.fix_fields, self.relation) or 0, start)
+
+    def _begin(self) -> None:
+        """Set up what is known of the kinds of records before the first."""
+        raise NotImplementedError
+
+    def _open(self, window: Window) -> None:
+        """Step over what is no record at the beginning; raise TelemetryError where the file is no such log."""
+        raise NotImplementedError
+
+    def _chain(self, window: Window, records: Records) -> None:
+        """Take the records that follow one another among the bytes held."""
+        raise NotImplementedError
+
+    def _single(self, window: Window, records: Records) -> bool:
+        """Go on from what ends a chain to where the next record is; return whether there may be any."""
+        raise NotImplementedError
+
+    def _standing(self, window: Window, searched: int) -> int | None:
+        """Return how many bytes ahead the next record begins that is one for certain."""
+        raise NotImplementedError
+
+    @staticmethod
+    def relation(boot_ns: NDArray[np.int64], *fields: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return UTC minus time since boot by n fixes, and where it can be that: see :func:`first_relation`."""
+        raise NotImplementedError
+
+    def _skip(self, window: Window, count: int) -> None:
+        taken = count if window.fill(count) else window.left
+        window.at += taken
+        self._skipped_bytes += taken
+
+    def _resume(self, window: Window, *, end: bool = False) -> bool:
+        """Move on to the next records and return whether there are any; with ``end``, stay where there are none."""
+        while True:
+            more = window.fill(_SEARCHED_AT_ONCE + self.largest_bytes)
+            searched = _SEARCHED_AT_ONCE if more else window.left
+            ahead = self._standing(window, searched)
+            if ahead is not None or end or not more:
+                break
+            self._skip(window, searched - 1)
+        if ahead is None and end:
+            return False
+        if ahead is None and window.left <= self.padding_bytes and not window.cut:
+            window.at += window.left
+            return False
+        self._damaged += 1
+        self._skip(window, window.left if ahead is None else ahead)
+        return ahead is not None
 
 
 def first_relation(

@@ -7,30 +7,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Container, Iterator
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
 from adapters.batch import Batch, messages
 from adapters.errors import TelemetryError
 from adapters.logs.compressed import CompressedFile
+from adapters.logs.damage import ScanStatistics
 from adapters.mavlink.mavlink_columns import SequenceFindings, dialect, wanted_kinds
 from adapters.mavlink.packets import PacketList, PacketScanner
 from adapters.message import Message
 
 READ_AHEAD_BYTES = 1 << 20
 """Bytes of a log in a batch: half a minute of a flight."""
-
-
-@dataclass(slots=True)
-class TlogStatistics:
-    """What was found in a telemetry log."""
-
-    packets: int = 0  # packets, wanted or not
-    unknown: int = 0  # those among them whose message is not in the dialect
-    damaged: int = 0  # places where the log was damaged
-    skipped_bytes: int = 0  # bytes that belong to no intact packet
-    broken_off: bool = False  # whether the log ends within a packet, or its compressed data early
 
 
 class TlogReader:
@@ -61,11 +50,11 @@ class TlogReader:
         self._wanted = wanted_kinds(only)
         self._broken_off: bool | None = None
 
-    def statistics(self) -> TlogStatistics:
+    def statistics(self) -> ScanStatistics:
         """Return the counts so far."""
         counts = self._scanner
-        return TlogStatistics(
-            packets=counts.intact + counts.unknown,
+        return ScanStatistics(
+            records=counts.intact + counts.unknown,
             unknown=counts.unknown,
             # What is damaged up to the end is called broken off.
             damaged=counts.damaged - (counts.in_damage and self._broken_off is not None),

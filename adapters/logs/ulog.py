@@ -6,28 +6,21 @@ none of its kind.
 
 from __future__ import annotations
 
-import os
 import re
 import struct
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch
 from adapters.errors import TelemetryError
 from adapters.logs.onboard_log import (
-    READ_AHEAD_BYTES,
-    LogClock,
-    OnboardLogStatistics,
+    OnboardLogReader,
     RecordKind,
     Records,
-    StartScan,
     Window,
-    first_relation,
     record_text,
 )
 from adapters.logs.ulog_format import UlogField, UlogType, compile_type, decode_keyed, parse_format
@@ -63,12 +56,6 @@ garbage once in 20 times, three in a row once in 7,600.
 _LEVELS = range(ord("0"), ord("8"))
 # Where reading may go on after damage: a topic's record or a mark for this very purpose.
 _RESUMES = re.compile(rb"[DS]")
-_SEARCHED_AT_ONCE = 1 << 16
-"""Bytes in which to look for the next record at a time. Chosen: as many as the largest record has."""
-_SCANNED_BYTES = 1 << 20
-"""Bytes of a log read at a time to find its clock. Measured: twenty thousand records have 1.2 MB."""
-_LARGEST_RECORD = 2 * _HEAD.size + _ID.size + (1 << 16)
-_RELATION = ("time_utc_usec", "fix_type", "timestamp_time_relative")
 _FIX_3D = 3
 _YEAR_2001_US = 1_000_000_000_000_000
 """A receiver that does not know the time says 1970 or 1980."""
@@ -83,49 +70,26 @@ class _Topic:
     most: int
 
 
-class UlogReader:
-    """Reads an onboard log of PX4 in the order it was written, as batches.
+class UlogReader(OnboardLogReader):
+    """Reads an onboard log of PX4.
 
     Topics come under their names, ``sensor_baro/1`` being the second instance of one; information, parameters, text
-    and dropouts under ``log/...``. Time of arrival is the record's own ``timestamp``, microseconds since boot, on the
-    relation of boot to UTC in the first position fix in the log (:data:`GPS_TOPICS`); without any, boot is the start
-    of 1970. Records without a time of the log's clock have that of the one before (:class:`LogClock`). Iterate once;
-    :meth:`statistics` tells what was found.
-
-    Parameters
-    ----------
-    path : str | PathLike
-        The log.
-    only : Collection[str] | None
-        Names of the messages wanted; None wants all.
-    utc_minus_boot_us : int | None
-        Where that relation is known already; None looks for it in the log.
-    read_ahead_bytes : int
-        Bytes of the log, decompressed, in a batch.
-    clock : LogClock | None
-        What gives the records their times; None finds it in the log.
+    and dropouts under ``log/...``. Time since boot is ``timestamp``, fixes are those of :data:`GPS_TOPICS`. See
+    :class:`OnboardLogReader`, whose parameters it takes.
     """
 
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        only: Collection[str] | None = None,
-        utc_minus_boot_us: int | None = None,
-        read_ahead_bytes: int = READ_AHEAD_BYTES,
-        clock: LogClock | None = None,
-    ) -> None:
-        self._path = Path(path)
-        self._only = only
-        self._offset_us = utc_minus_boot_us
-        self._read_ahead_bytes = read_ahead_bytes
-        self._clock = clock
+    source = ULOG
+    head_bytes = _HEAD.size
+    largest_bytes = 2 * _HEAD.size + _ID.size + (1 << 16)
+    fixes = GPS_TOPICS
+    fix_fields = ("time_utc_usec", "fix_type", "timestamp_time_relative")
+
+    def _begin(self) -> None:
         self._formats: dict[str, tuple[UlogField, ...]] = {}
         self._kinds: dict[str, tuple[UlogType, RecordKind]] = {}
         self._topics: dict[int, _Topic] = {}
         self._heads: dict[bytes, tuple[int, RecordKind | None]] = {}
         self._appended: list[int] = []
-        self._records = self._unknown = self._damaged = self._skipped_bytes = 0
-        self._broken_off = False
         self._take: Mapping[int, Callable[[bytes], tuple[str, dict[str, Any]] | None]] = {
             ord("A"): self._subscribe,
             ord("B"): self._flag,
@@ -141,37 +105,7 @@ class UlogReader:
             ord("S"): _sync,
         }
 
-    def statistics(self) -> OnboardLogStatistics:
-        """Return the counts so far."""
-        return OnboardLogStatistics(self._records, self._unknown, self._damaged, self._skipped_bytes, self._broken_off)
-
-    def __iter__(self) -> Iterator[Batch]:
-        """Return the batches in which there are wanted messages.
-
-        Raises
-        ------
-        TelemetryError
-            The file cannot be opened, is no such log, or needs a newer reader.
-        """
-        window = Window(self._path, self._read_ahead_bytes)
-        self._open(window)
-        clock = self._clock or _log_clock(self._path, self._offset_us)
-        records = Records(ULOG, clock, self._only)
-        while window.fill(_HEAD.size):
-            if records.data is not window.data:
-                if records.start:
-                    yield records.batch()
-                records.data = window.data
-            self._chain(window, records)
-            if window.fill(_HEAD.size) and not self._single(window, records):
-                break
-        if records.start:
-            yield records.batch()
-        self._broken_off |= window.cut or window.left > 0
-        self._skipped_bytes += window.left
-
     def _chain(self, window: Window, records: Records) -> None:
-        """Take the topics' records that follow one another among the bytes held."""
         data, at, heads = window.data, window.at, self._heads
         end = len(data) if not self._appended else min(len(data), window.index(self._appended[0]))
         start, kind = records.start, records.kind
@@ -211,7 +145,6 @@ class UlogReader:
         return known
 
     def _single(self, window: Window, records: Records) -> bool:
-        """Take the record that ends the chain, or go on to where the next one is; return whether there may be any."""
         size, kind = _HEAD.unpack_from(window.data, window.at)
         length = _HEAD.size + size
         if self._appended and window.offset >= self._appended[0]:
@@ -250,15 +183,10 @@ class UlogReader:
         return True
 
     def _open(self, window: Window) -> None:
-        """Step over the head of the file."""
         if not window.fill(_FILE_HEAD.size) or not window.data.startswith(_MAGIC):
             raise TelemetryError(f"{self._path}: not a ULog file although its name says so; check where it came from")
         window.at = _FILE_HEAD.size
-
-    def _skip(self, window: Window, count: int) -> None:
-        taken = count if window.fill(count) else window.left
-        window.at += taken
-        self._skipped_bytes += taken
+        self._head_ns = min(_FILE_HEAD.unpack_from(window.data)[2] * 1_000, LATEST_NS)
 
     def _stands(self, window: Window, ahead: int, behind: int = 0) -> bool:
         """Return whether a topic's record, or the end, is so many bytes ahead.
@@ -277,23 +205,8 @@ class UlogReader:
         topic = self._topics.get(_ID.unpack_from(window.data, window.at + ahead + _HEAD.size)[0])
         return topic is not None and topic.least <= size <= topic.most
 
-    def _resume(self, window: Window, *, end: bool = False) -> bool:
-        """Move on to the next records and return whether there are any; with ``end``, stay where there are none."""
-        while True:
-            more = window.fill(_SEARCHED_AT_ONCE + _LARGEST_RECORD)
-            searched = _SEARCHED_AT_ONCE if more else window.left
-            ahead = self._standing(window, searched)
-            if ahead is not None or end or not more:
-                break
-            self._skip(window, searched - 1)
-        if ahead is None and end:
-            return False
-        self._damaged += 1
-        self._skip(window, window.left if ahead is None else ahead)
-        return ahead is not None
-
     def _standing(self, window: Window, searched: int) -> int | None:
-        """Return how many bytes ahead the next topic's record with another behind it, or a mark, begins."""
+        # a topic's record with another behind it, or a mark
         start = window.at
         for match in _RESUMES.finditer(window.data, start + _HEAD.size, start + searched):
             ahead = match.start() - (_HEAD.size - 1) - start
@@ -304,6 +217,15 @@ class UlogReader:
             elif window.data.startswith(_SYNC, start + ahead + _HEAD.size) and size == len(_SYNC):
                 return ahead
         return None
+
+    @staticmethod
+    def relation(boot_ns: NDArray[np.int64], *fields: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return UTC minus time since boot by n records of receivers, and where there was a fix."""
+        utc_us, fix, relative_us = fields
+        found_us = utc_us - boot_ns // 1_000 - relative_us
+        # beyond the latest time nanoseconds do not fit
+        good = (fix >= _FIX_3D) & (utc_us > _YEAR_2001_US) & (found_us < LATEST_NS // 1_000)
+        return np.where(good, found_us, 0) * 1_000, good
 
     def _subscribe(self, body: bytes) -> None:
         instance, number = struct.unpack_from("<BH", body)
@@ -380,25 +302,3 @@ def _dropout(body: bytes) -> tuple[str, dict[str, Any]]:
 def _sync(body: bytes) -> None:
     if body != _SYNC:
         raise ValueError("no mark")
-
-
-def _log_clock(path: Path, utc_minus_boot_us: int | None) -> LogClock:
-    """Return the clock of a log; UTC minus time since boot from its first position fix where that is not known."""
-    scan = StartScan()
-    window = Window(path, _FILE_HEAD.size)
-    window.fill(_FILE_HEAD.size)
-    head_us = _FILE_HEAD.unpack_from(window.data)[2]
-    start = scan.found(UlogReader(path, read_ahead_bytes=_SCANNED_BYTES, clock=scan), min(head_us * 1_000, LATEST_NS))
-    if utc_minus_boot_us is not None:
-        return LogClock(utc_minus_boot_us * 1_000, start)
-    fixes = UlogReader(path, GPS_TOPICS, clock=LogClock(0, start))
-    return LogClock(first_relation(fixes, _RELATION, _relation) or 0, start)
-
-
-def _relation(
-    boot_ns: NDArray[np.int64], utc_us: NDArray[np.int64], fix: NDArray[np.int64], relative_us: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    found_us = utc_us - boot_ns // 1_000 - relative_us
-    # beyond the latest time nanoseconds do not fit
-    good = (fix >= _FIX_3D) & (utc_us > _YEAR_2001_US) & (found_us < LATEST_NS // 1_000)
-    return np.where(good, found_us, 0) * 1_000, good
