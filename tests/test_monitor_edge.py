@@ -53,6 +53,11 @@ def test_the_opposite_jump_cancels_what_is_held() -> None:
     assert held[-1] == 0.0
 
 
+def test_a_jump_back_to_nothing_is_the_end_of_what_came_slowly() -> None:
+    values = np.concatenate([np.zeros(100), np.linspace(0.0, 1.0, 3000), np.zeros(200)])
+    assert not run(values, smallest=0.2).any()
+
+
 def test_an_edge_is_forgotten_after_ten_seconds() -> None:
     held = run(step(0.1, count=1300))
     assert held[1000] == pytest.approx(0.1, abs=0.01)

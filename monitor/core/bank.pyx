@@ -426,7 +426,10 @@ cdef class EdgeDetector:
         if self.edge != 0.0 and fabs(self.edge) >= self.smallest:
             self.quiet = self.gap + 2 * self.mean
             self.age = 0
-            if self.held == 0.0 and fabs(self.gone + self.edge) < EDGE_CANCELLED * fabs(self.edge):
+            # What leads back to nothing is the end of what came slowly, or is not held any more.
+            if self.held == 0.0 and min(fabs(self.gone + self.edge), fabs(self.back(0))) < EDGE_CANCELLED * fabs(
+                self.edge
+            ):
                 self.gone = 0.0
                 return 0.0
             self.held += self.edge

@@ -39,12 +39,20 @@ cdef class Navigation:
     cdef double[3] _rate
     cdef double[3] _force
     cdef double[2] _velocity
+    # By how much the GPS's velocity is off, by how much more each second, and whether it ramped there; how far the
+    # newest velocity or field was off that may be a step, and for how many of them that has been so.
     cdef double[2] _offset
+    cdef double[2] _drift
+    cdef bint[2] _led
+    cdef double[3] _stepped
+    cdef int[3] _held
     # The magnetic field: its measurement, where it points from north, what is taken for its declination and for its
-    # strength, for how long it has been so again after it jumped, how far a measurement was off that may be the first
-    # after a jump, and how errors of the attitude about north and east turn it; the largest rate of late.
+    # strength, for how long it has been so again after it jumped, and how errors of the attitude about north and east
+    # turn it; the largest rate of late.
     cdef double _field_delay_s, _field_timing_s, _field_noise, _field_walk, _direction, _declined, _strength
-    cdef double _back_s, _stepped, _whirl
+    cdef double _back_s, _whirl
+    # for how long no ramp of the GPS's velocity is believed
+    cdef double _tilted_s
     cdef double[3] _field
     cdef double[2] _tilting
     cdef bint _pointed, _aimed
@@ -63,6 +71,8 @@ cdef class Navigation:
     cdef readonly double score
     # Whether the magnetic field jumped and has not come back.
     cdef bint strayed
+    # Whether a step has led the GPS's velocity back to where it was.
+    cdef bint returned
 
     cdef void restart(self) noexcept
     cdef bint go_on(
@@ -72,11 +82,13 @@ cdef class Navigation:
     cdef void point(self, const double* field, const double* R) noexcept
     cdef void meet(self, const double* velocity) noexcept
     cdef bint believed(self) noexcept
-    cdef bint steps(self, double off, double variance) noexcept
+    cdef bint steps(self, int m, double off, double variance, double least) noexcept
+    cdef void put_off(self, int m, double size) noexcept
     cdef double fault(self, int which) noexcept
     cdef double spread(self, int which) noexcept
     cdef void differ(self, const double* R, double* apart) noexcept
     cdef double missed(self, int axis) noexcept
+    cdef double led(self, int axis) noexcept
     cdef void begin(self, const double* R) noexcept
     cdef void propagate(self) noexcept
     cdef void update(self, const double* innovation, const double* variance) noexcept

@@ -28,6 +28,9 @@ what the filter has followed of the fault before it was believed is a part of it
 
 as errors of a bias that walks slowly have one sign (cov >= 0); the bound is what is given out.
 
+A velocity of the GPS that ramps is followed as such, with what the filter had learned from it taken back, until a step
+leads back: position and velocity of a receiver that was led away are then right at once.
+
 In hover a tilt and a bias of an accelerometer cannot be told apart; what tells is that no gyro turned.
 """
 
@@ -56,6 +59,8 @@ cdef double _FIELD_TIMING_S = 0.02
 cdef double _FIELD_UNTOLD_S = 0.08
 # Least step of the field's direction, rad, that is a compass at fault: half of the smallest that is worth an alarm.
 cdef double _FIELD_LEAST = 0.09
+# The same of the GPS's velocity, m/s: the least motion that is worth an alarm.
+cdef double _SPEED_LEAST = 1.0
 # Standard deviations that no measurement is off by (one in two million).
 cdef double _OUTLIER = 5.0
 # Share of each measurement in its usual strength: forgotten in 40 s. One that is off by as large a share tells nothing.
@@ -84,6 +89,14 @@ cdef double _ENDED = 5.0
 cdef double _BETTER = 0.75
 # Least bias that is believed, of gyros (rad/s) and accelerometers (m/s^2): what healthy ones drift by.
 cdef double[2] _LEAST = [0.01, 0.25]
+# Least ramp of the GPS's velocity that is believed, m/s^2: what a tilt of 10 mrad makes of gravity.
+cdef double _LEAST_RAMP = 0.1
+# For how long it has lasted by then, s: within 2.5 s the end of a gyro's or an accelerometer's fault is known, which
+# begins like one.
+cdef double _RAMPS_S = 3.0
+# For how long none is after a gyro was at fault, s: where an estimator learned its bias, that fades back in 10 to 20 s
+# once the fault ends, and looks like a ramp. Chosen: as long as a recorded fault and its end.
+cdef double _RAMPLESS_S = 60.0
 # Largest bias that is believed, rad/s and m/s^2: what is more is no navigation of this flight any more. Chosen: ten and
 # six times those of which flights were recorded; with it no autopilot keeps the vehicle in the air.
 cdef double[2] _MOST = [1.0, 4.0]
@@ -92,6 +105,8 @@ cdef double[2] _MOST = [1.0, 4.0]
 cdef double _TURNED = 0.5
 # Steps with a fault that no hypothesis tells until the filter begins anew: a second set of onsets.
 cdef int _HELPLESS = 2 * ONSETS
+# Fixes that tell a step from a turn: the line from one measurement to the next may hide it in the first of them.
+cdef int _STEPS = 3
 # Steps between two onsets.
 cdef int _SPACING = 2
 
@@ -150,7 +165,7 @@ cdef class Navigation:
     cdef void restart(self) noexcept:
         self._begun = False
         self.score = 0.0
-        self.strayed = False
+        self.strayed = self.returned = False
         memset(self._missed, 0, sizeof(self._missed))
 
     cdef void begin(self, const double* R) noexcept:
@@ -166,11 +181,15 @@ cdef class Navigation:
         memset(self._bias, 0, sizeof(self._bias))
         memset(self._faulty, 0, sizeof(self._faulty))
         memset(self._offset, 0, sizeof(self._offset))
+        memset(self._drift, 0, sizeof(self._drift))
+        memset(self._led, 0, sizeof(self._led))
+        memset(self._stepped, 0, sizeof(self._stepped))
+        memset(self._held, 0, sizeof(self._held))
         memset(self._sharp, 0, sizeof(self._sharp))
         memset(self._missed, 0, sizeof(self._missed))
         memset(self._field, 0, sizeof(self._field))
         memset(self._tilting, 0, sizeof(self._tilting))
-        self._declined = self._back_s = self._stepped = self._whirl = 0.0
+        self._declined = self._back_s = self._whirl = self._tilted_s = 0.0
         self._pointed = self._aimed = False
         self._ticks = self._count = self._helpless = 0
         self._turned = False
@@ -304,12 +323,25 @@ cdef class Navigation:
         cdef double[3] variance
         cdef Signature* newest
         cdef double off, spread
+        cdef bint steps = False
         cdef int i, h
         if self._ticks == 0:
             # the first tick: nothing to compare yet
             self._velocity[0], self._velocity[1] = velocity[0], velocity[1]
             return
         self.propagate()
+        for i in range(2):
+            self._offset[i] += self._drift[i] * self._ticks * self._dt
+            innovation[i] = velocity[i] - self._offset[i] - self._velocity[i]
+            variance[i] = _SPEED_NOISE * _SPEED_NOISE + (_TIMING_S * self._sharp[i]) ** 2
+            self._sharp[i] *= _PEAK_KEPT
+            steps |= self.steps(i, innovation[i], variance[i] + self._P[_V + i][_V + i], _SPEED_LEAST)
+        if steps:
+            # north and east are of one device
+            for i in range(2):
+                if self._held[i] == _STEPS:
+                    self.put_off(i, innovation[i])
+                variance[i] = INFINITY
         if self._count % _SPACING == 0:
             memmove(&self._signatures[1], &self._signatures[0], (ONSETS - 1) * sizeof(Signature))
             newest = &self._signatures[0]
@@ -318,10 +350,6 @@ cdef class Navigation:
                 newest.state[h][_BG + h] = 1.0
                 newest.bias[h] = self._bias[h]
                 newest.variance[h] = self._P[_BG + h][_BG + h]
-        for i in range(2):
-            innovation[i] = velocity[i] - self._offset[i] - self._velocity[i]
-            variance[i] = _SPEED_NOISE * _SPEED_NOISE + (_TIMING_S * self._sharp[i]) ** 2
-            self._sharp[i] *= _PEAK_KEPT
         innovation[2], variance[2] = 0.0, INFINITY
         if self._field_noise == 0.0:
             if self._pointed and not is_steep(hypot(self._R[7], self._R[8])):
@@ -335,8 +363,10 @@ cdef class Navigation:
         elif self._pointed and self.believed():
             off = wrapped(self._direction - self._declined)
             spread = self._field_noise * self._field_noise + (self._field_timing_s * self._whirl) ** 2
-            if not self.steps(off, spread + self._P[2][2] + 2.0 * self._P[2][_H] + self._P[_H][_H]):
+            if not self.steps(2, off, spread + self._P[2][2] + 2.0 * self._P[2][_H] + self._P[_H][_H], _FIELD_LEAST):
                 innovation[2], variance[2] = off, spread
+            elif self._held[2] == _STEPS:
+                self.strayed, self._back_s = True, 0.0
         self._pointed = False
         self._whirl *= _PEAK_KEPT
         self.update(innovation, variance)
@@ -359,19 +389,31 @@ cdef class Navigation:
             self._strength += _STRENGTH_SHARE * (strength - self._strength)
         return not self.strayed and off < _FIELD_LEAST
 
-    cdef bint steps(self, double off, double variance) noexcept:
-        """Return whether a field that is so far off may have stepped; the next measurement tells a step from a turn."""
-        cdef double before = self._stepped
-        self._stepped = 0.0
-        if fabs(off) < fmax(_FIELD_LEAST, _OUTLIER * sqrt(variance)):
-            return False
-        if before == 0.0:
-            self._stepped = off
-        elif fabs(off - before) < 0.5 * fabs(before):
-            self.strayed, self._back_s = True, 0.0
+    cdef bint steps(self, int m, double off, double variance, double least) noexcept:
+        """Return whether a measurement that is so far off may have stepped; the next two tell a step from a turn."""
+        cdef double before = self._stepped[m]
+        self._stepped[m] = off
+        if fabs(off) < fmax(least, _OUTLIER * sqrt(variance)):
+            self._held[m] = 0
+        elif self._held[m] % _STEPS and fabs(off - before) < 0.5 * fabs(before):
+            self._held[m] = _STEPS
         else:
-            return False
-        return True
+            self._held[m] = (self._held[m] + 1) % _STEPS
+        return self._held[m] > 0
+
+    cdef void put_off(self, int m, double size) noexcept:
+        """Take a step for one of the GPS's velocity; one that leads back ends what led it away, and it is right."""
+        self._offset[m] += size
+        if fabs(self._offset[m]) < 0.5 * fabs(size):
+            self._velocity[m] += self._offset[m]
+            self._offset[m] = self._drift[m] = 0.0
+            self.returned |= self._led[m]
+            self._led[m] = False
+        self._count = 0
+
+    cdef double led(self, int axis) noexcept:
+        """Return by how much the GPS's velocity north or east has been led away, which no jump tells."""
+        return self._offset[axis] if self._begun and self._led[axis] else 0.0
 
     cdef void propagate(self) noexcept:
         """Take covariance and signatures from the fix before to this one."""
@@ -489,9 +531,12 @@ cdef class Navigation:
         cdef double[HYPOTHESES] best
         cdef double[HYPOTHESES] end
         cdef int[HYPOTHESES] onset, ended
-        cdef double likelihood, others, size, least
+        cdef double likelihood, others, size, least, step_s = self._every * self._dt
         cdef Signature* signature
         cdef int h, k, which = 0, n = self.onsets()
+        self._tilted_s = max(0.0, self._tilted_s - step_s)
+        if self._faulty[0] or self._faulty[1] or self._faulty[2]:
+            self._tilted_s = _RAMPLESS_S
         for h in range(HYPOTHESES):
             best[h], onset[h], end[h], ended[h] = 0.0, 0, 0.0, 0
         for k in range(n):
@@ -523,20 +568,23 @@ cdef class Navigation:
                 which = h
         for h in range(HYPOTHESES):
             if h != which:
-                others = fmax(others, best[h] - (_COINCIDENCE if h >= _RAMP else 0.0))
+                others = fmax(others, best[h] - (_COINCIDENCE if h >= _RAMP and which < _RAMP else 0.0))
         # Magnetometers are judged elsewhere.
         self.score = best[which] if which != _TURN else 0.0
         self._helpless = self._helpless + 1 if self.score > self._level else 0
         if (
             best[which] > self._level
             and best[which] > others + _MARGIN
-            and which < _RAMP
             and (which != 2 or self._field_noise > 0.0)
         ):
             signature = &self._signatures[onset[which]]
             size = signature.matched[which] / signature.energy[which]
-            least = _LEAST[0] if which < 3 else _LEAST[1] if which < _JUMP else 0.0
-            if fabs(size) > least and (which >= _JUMP or fabs(size) < _MOST[which >= 3]):
+            least = _LEAST[which >= 3] if which < _JUMP else _LEAST_RAMP if which >= _RAMP else 0.0
+            if (
+                fabs(size) > least
+                and (which >= _JUMP or fabs(size) < _MOST[which >= 3])
+                and (which < _RAMP or (signature.age * step_s > _RAMPS_S and self._tilted_s == 0.0))
+            ):
                 self.jump(signature, which, size, 1.0 / signature.energy[which])
                 return
         if self._helpless > _HELPLESS:
@@ -578,7 +626,11 @@ cdef class Navigation:
             if which < 3:
                 self._missed[which] += size * signature.age * self._every * self._dt
         elif which < _TURN:
-            self._offset[which - _JUMP] += size
+            self.put_off(which - _JUMP, size)
+        elif which >= _RAMP:
+            self._offset[which - _RAMP] += size * signature.age * self._every * self._dt
+            self._drift[which - _RAMP] += size
+            self._led[which - _RAMP] = True
         elif fabs(size) < _FIELD_LEAST:
             self._declined += size
         else:

@@ -159,6 +159,11 @@ cdef class StrapdownCore:
     cdef double[_WIDEST] _anchor
     cdef double[_WIDEST] _place
     cdef double[2] _speed
+    # What the navigation held the GPS's velocity to be led away by as the period began; what GPS's position and
+    # velocity are apart from the inputs, washed out as they are, and whether that is void.
+    cdef double[2] _led
+    cdef double[4] _apart_gps
+    cdef bint _back
     cdef bint _still
     cdef int _stills
     # Attitude of the tick before; what it turned so far; first place and the metres of its degrees.
@@ -271,6 +276,9 @@ cdef class StrapdownCore:
         memset(self._estimated, 0, sizeof(self._estimated))
         memset(self._y, 0, sizeof(self._y))
         memset(self._once, 0, sizeof(self._once))
+        memset(self._led, 0, sizeof(self._led))
+        memset(self._apart_gps, 0, sizeof(self._apart_gps))
+        self._back = False
 
     def run(self, samples):
         """Go on by raw samples; return the observer's samples, each where its period ends.
@@ -357,6 +365,17 @@ cdef class StrapdownCore:
                         self._once[i] = self._keep[i] * before + self._gain[i] * change
                         change = self._once[i] - before
                     self._y[i] = self._keep[i] * self._y[i] + self._gain[i] * change
+                if self._navigation is not None:
+                    for i in range(4):
+                        change = places[i] - self._start[i] - u[count, i] * self._count * self._dt
+                        self._apart_gps[i] = self._keep[i] * self._apart_gps[i] + self._gain[i] * change
+                        if self._back:
+                            self._y[i], self._apart_gps[i] = self._y[i] - self._apart_gps[i], 0.0
+                        # What the navigation knows by which the GPS is led away is not washed out.
+                        if i >= 2:
+                            y[count, i] += self._led[i - 2]
+                            self._led[i - 2] = self._navigation.led(i - 2)
+                    self._back = False
                 rows[count] = row
                 count += 1
             self._begun = True
@@ -504,6 +523,9 @@ cdef class StrapdownCore:
                 if self.stuck():
                     u[0], u[1] = self._reckoned[0], self._reckoned[1]
                 y[2], y[3] = fix[3], fix[4]
+                if self._navigation is not None:
+                    for axis in range(2):
+                        y[2 + axis] -= self._navigation.led(axis)
                 i, k = 2, 4
             u[i], u[i + 1] = motion[0], motion[1]
             y[k] = fix[2]
@@ -562,6 +584,9 @@ cdef class StrapdownCore:
         self._navigation.differ(sensed + 6, self._apart)
         if due and not fix[5] and memcmp(fix, self._fix, sizeof(self._fix)) != 0:
             self._navigation.meet(fix + 3)
+            if self._navigation.returned:
+                self._navigation.returned = False
+                self._back = True
 
     cdef void follow_fix(self, const double* fix, const double* motion) noexcept:
         """Follow the GPS's speed, by the accelerations while the fix stays the same.
