@@ -32,7 +32,7 @@ test: $(VENV)/.dev
 test-long: $(VENV)/.dev
 	$(PYTEST) -m long
 
-# systemd-analyze, zsh, fish and Chromium with its driver have to be there
+# systemd-analyze, zsh, fish, promtool and Chromium with its driver have to be there
 test-system: $(VENV)/.dev
 	$(BIN)/python -m pytest -m system
 

@@ -109,9 +109,9 @@ def _raised(channel: ChannelHealth) -> dict[str, float]:
     return {severity: float(channel.severity == severity) for severity in get_args(Severity)}
 
 
-def _quantiles(vehicle: VehicleHealth) -> dict[str, float]:
+def _latencies(vehicle: VehicleHealth) -> dict[str, float]:
     latency = vehicle.latency
-    return {"0.5": latency.p50_s, "0.99": latency.p99_s, "1": latency.max_s}
+    return {"median": latency.p50_s, "p99": latency.p99_s, "largest": latency.max_s}
 
 
 def _figure(name: str) -> Callable[[LinkHealth], float]:
@@ -181,9 +181,9 @@ METRICS = (
     ),
     _VEHICLE.row(
         "fauio_vehicle_latency_recent_seconds",
-        _quantiles,
+        _latencies,
         "the same over the last interval: median, 99th percentile, largest",
-        "quantile",
+        "statistic",
     ),
     _OBSERVER.row("fauio_observer_samples_total", "samples", "samples fed to the observer"),
     _OBSERVER.row("fauio_evidence_ratio", "share", "share of the last minute in which the observer had evidence"),
