@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from adapters.errors import UsageError
+from adapters.output_file import check_suffix
 
 SCENARIOS = ("healthy", "undisturbed", "case1", "case2", "case3")
 DEFAULT_SCENARIO = "case2"
@@ -30,7 +32,7 @@ def add_parsers(subparsers: Any) -> None:
     target = arm.add_mutually_exclusive_group(required=True)
     target.add_argument("--zenoh", metavar="KEY", help="publish JSON over Zenoh under this key")
     target.add_argument("--mavlink", metavar="URL", help="send MAVLink over UDP to udpout:HOST:PORT")
-    target.add_argument("-o", "--output", metavar="OUT.mcap", help="write a recording")
+    target.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="write a recording")
     arm.add_argument(
         "--connect",
         metavar="ENDPOINT",
@@ -74,6 +76,8 @@ def _simulate_arm(args: argparse.Namespace) -> int:
     scenario = ArmScenario((*base.faults, *(parse_fault(text) for text in args.fault)), base.disturbed)
     if (args.connect or args.zenoh_config) and not args.zenoh:
         raise UsageError(f"{'--connect' if args.connect else '--zenoh-config'} goes with --zenoh only")
+    if args.output:
+        check_suffix(args.output, ".mcap")
     run = simulate_arm(scenario, args.duration, args.rate, args.torque)
     if args.output:
         from adapters.logs.mcap_log import MessageLogWriter
@@ -92,7 +96,7 @@ def _simulate_arm(args: argparse.Namespace) -> int:
         from adapters.simulation.arm_source import publish_arm
 
         sent = publish_arm(run, args.zenoh, args.connect or [DEFAULT_ENDPOINT], args.speed, args.zenoh_config)
-    target = args.output or args.mavlink or args.zenoh
+    target = str(args.output or args.mavlink or args.zenoh)
     summary = {
         "scenario": name,
         "faults": [{"channel": f.channel, "start_s": f.start_s, "stop_s": f.stop_s} for f in scenario.faults],

@@ -39,9 +39,11 @@ def replay_on_dask(files: Mapping[str, bytes], tasks: Sequence[LogTask], address
     """
     try:
         from distributed import Client
+        from distributed.comm import get_address_host_port
     except ImportError as error:
         raise UsageError("--dask: Dask is not installed; run: pip install 'fauio[dask]'") from error
     try:
+        get_address_host_port(address)  # a client that was not made for want of a port ends in a traceback of its own
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split())
