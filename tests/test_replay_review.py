@@ -129,6 +129,11 @@ LOOK_ALIKES: dict[str, Flight] = {
     "sticks that move on the ground": Flight(
         height=lambda _: 0.2, tilt_wanted_deg=between(30.0, 33.0, 45.0, 0.0), tilt_deg=lambda _: 1.0
     ),
+    "a vehicle that the ground holds, and its log does not say so": Flight(
+        motors=one_motor(1, 1.0, 30.0, 50.0),
+        tilt_wanted_deg=between(30.0, 50.0, 30.0, 0.0),
+        ratio=between(35.0, 38.0, 1.8, 0.1),
+    ),
     "sticks from one end to the other": Flight(
         tilt_wanted_deg=lambda at: 45.0 if 30.0 <= at < 33.0 and at % 0.8 < 0.4 else 0.0,
         tilt_deg=lambda at: 45.0 if 30.3 <= at < 33.3 and (at - 0.3) % 0.8 < 0.4 else 0.0,

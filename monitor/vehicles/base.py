@@ -32,6 +32,7 @@ class VehicleKind:
     # classes of the transforms that its observers may use, by their names in profiles
     transforms: Mapping[str, str] = field(default_factory=dict)
     type_words: tuple[str, ...] = ()  # words in the names of ``MAV_TYPE`` that say that a vehicle is of this kind
+    flies: bool = True  # whether it leaves the ground: what drives has no landing detector that says anything
     # functions of a request and the profile's gate; each returns one more observer, None where the recordings lack what
     # it watches
     further: tuple[str, ...] = ()

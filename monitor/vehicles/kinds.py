@@ -49,6 +49,7 @@ KINDS = (
         messages="monitor.vehicles.rover.signals:MESSAGES",
         transforms={"drive": "monitor.vehicles.rover.transform:DriveInputs"},
         type_words=("rover", "boat"),
+        flies=False,
     ),
     VehicleKind(
         "inertial",

@@ -16,12 +16,12 @@ from monitor.event import AlarmEvent
 from monitor.fitting.flights import part_of
 from monitor.profile import read_profile
 from monitor.trace import AlarmSpan, Trace, alarm_spans
-from monitor.vehicles.kinds import fit_reading
+from monitor.vehicles.kinds import KINDS, fit_reading
 from replay.fit import fit_profile
 from replay.player import Replay, interests, play_batches
 from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
 
-_KINDS = ("multirotor", "plane", "rover")
+_KINDS = tuple(kind.name for kind in KINDS if kind.type_words)
 _LEARNED_S = 40.0
 """Seconds of flight to learn from: motors are identified from 25 s of samples on, and an observer settles within 10.
 Measured on flights whose fault begins after 50 s: at 40 % of the flight in its place three of three were learned with

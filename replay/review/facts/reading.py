@@ -30,6 +30,4 @@ def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
     if not any(True for _ in records.names()):
         raise TelemetryError(f"{path}: holds nothing that says how a vehicle fared; give a log of a flight")
     facts = translate(records)
-    # what drives has no landing detector that says anything
-    flight = facts.armed if facts.vehicle == "rover" else tuple(flown(facts.flight, facts.signals.get("motors")))
-    return replace(facts, flight=flight), recording.damage()
+    return replace(facts, flight=tuple(flown(facts)) if facts.flies else facts.armed), recording.damage()

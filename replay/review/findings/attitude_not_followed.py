@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import Floats, LogFacts, LogSignal, spans_where
+from replay.review.facts.log_facts import Floats, LogFacts, LogSignal, degrees_apart, spans_where
 from replay.review.findings.loss_of_control import lost_s, undisturbed
 from replay.review.findings.rule import Judgement, Rule
 
@@ -57,9 +57,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
 
 def _apart(attitude: LogSignal, wanted: LogSignal) -> Floats:
     """Return how far roll and pitch are from all that was wanted over the last half second (n, 2), degrees."""
-    # by the shorter way round: at half a turn roll goes on from +180 to -180 degrees
     ways = [
-        np.abs((attitude.values[:, :2] - wanted.at(attitude.time_s - ago)[:, :2] + 180.0) % 360.0 - 180.0)
+        degrees_apart(attitude.values[:, :2], wanted.at(attitude.time_s - ago)[:, :2])
         for ago in np.linspace(0.0, _APART_S, _AGO)
     ]
     return np.asarray(np.fmin.reduce(ways))

@@ -17,7 +17,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     height = facts.signals["height"]
     late = facts.duration_s - _AT_END_S
     if (
-        facts.vehicle == "rover"
+        not facts.flies
         or not facts.flight
         or facts.flight[-1][1] < late
         or not facts.armed
