@@ -53,12 +53,7 @@ class RecordFields(Mapping[str, NDArray[np.generic]]):
 
     Most fields of live telemetry are asked for by nobody.
 
-    Parameters
-    ----------
-    record : NDArray[np.void]
-        The messages, a record of the fields each (m,).
-    places : Mapping[str, FieldPlace]
-        What :func:`field_places` says of it.
+    ``record`` holds the messages, a record of the fields each (m,), ``places`` is what :func:`field_places` says of it.
     """
 
     __slots__ = ("_columns", "places", "record")
@@ -324,11 +319,6 @@ def pack(received: Sequence[Message]) -> Batch:
 
     Telemetry whose fields are numbers or lists of numbers, the same ones in each message of a name and sender and of
     the same Python type and length, becomes columns of int64, float64 or bool; all else stays as messages.
-
-    Parameters
-    ----------
-    received : Sequence[Message]
-        The messages, in the order of arrival.
     """
     groups: dict[tuple[str, int, int], list[int]] = {}
     for position, message in enumerate(received):

@@ -37,15 +37,8 @@ class FauioError(ValueError):
 
     Raise one of the classes below; this one itself only where none of them fits.
 
-    Parameters
-    ----------
-    *lines : str
-        A line for each mistake. Whatever they quote they stay a line each: control characters become question marks.
-
-    Attributes
-    ----------
-    exit_status : int
-        What the command line returns.
+    Each of ``lines`` is a mistake. Whatever they quote they stay a line each: control characters become question marks.
+    ``exit_status`` is what the command line returns.
     """
 
     exit_status = 2

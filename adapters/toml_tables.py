@@ -40,18 +40,8 @@ class TomlFile:
 
     Use :func:`read_toml` for a file on the disk; the class itself for tables that come from elsewhere.
 
-    Parameters
-    ----------
-    name : str
-        File, as errors name it.
-    content : Mapping[str, Any]
-        Its parsed content.
-    error : type[FauioError]
-        What :meth:`check` raises.
-    text : str
-        Its text, for the lines of mistakes; without it they have none.
-    overrides : Mapping[str, Any]
-        Keys of the top level that the command line gave in place of the file's; of a table, some of its keys.
+    ``error`` is what :meth:`check` raises; without its ``text`` mistakes have no lines. ``overrides`` are keys of the
+    top level that the command line gave in place of the file's; of a table, some of its keys.
     """
 
     def __init__(
@@ -87,18 +77,8 @@ class TomlFile:
     ) -> None:
         """Record a mistake.
 
-        Parameters
-        ----------
-        path : KeyPath
-            Key that it is about.
-        what : str
-            The message without file and line; the key in quotes is put before it where it is ``named``.
-        named : bool
-            Whether to do so.
-        once : bool
-            Whether the same words about another key are enough.
-        also : Iterable[KeyPath]
-            Further keys that are not to be judged because of it.
+        The key is put before ``what`` in quotes where it is ``named``. With ``once`` the same words about another key
+        are enough; ``also`` are further keys that are not to be judged because of it.
         """
         path = _present(path, self._content)
         key = "'" + _dotted(path) + "'" + ("" if what.startswith(":") else " ") if named else ""
@@ -169,10 +149,8 @@ class Table:
     def done(self, homes: Mapping[str, Sequence[str]] | None = None) -> None:
         """Record a mistake for each key that was not asked for: a typing error would otherwise go unnoticed.
 
-        Parameters
-        ----------
-        homes : Mapping[str, Sequence[str]] | None
-            Tables that have a key of this name, ``""`` for the top level: for what stands in the wrong one.
+        ``homes`` are the tables that have a key of this name, ``""`` for the top level: for what stands in the wrong
+        one.
         """
         for key in self._content:
             if key not in self._known:
@@ -365,16 +343,8 @@ def read_toml(
 ) -> TomlFile:
     """Read and parse a file.
 
-    Parameters
-    ----------
-    path : str | Path | None
-        The file; None for none, where the command line gives everything.
-    error : type[FauioError]
-        What is raised for this file.
-    overrides : Mapping[str, Any] | None
-        Keys of the top level from the command line.
-    mend : str
-        What to do where there is no such file.
+    Without a path the command line gives everything: ``overrides``, keys of the top level. ``mend`` says what to do
+    where there is no such file.
 
     Raises
     ------

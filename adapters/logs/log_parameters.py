@@ -23,13 +23,8 @@ _INTEGERS = {1: "<B3x", 2: "<b3x", 3: "<H2x", 4: "<h2x", 5: "<I", 6: "<i"}
 def parameter(message: Message, *, px4: bool = False) -> tuple[str, float] | None:
     """Return name and value of the parameter that a message holds, None where it holds none.
 
-    Parameters
-    ----------
-    message : Message
-        One of :data:`PARAMETER_MESSAGES`.
-    px4 : bool
-        PX4 sent it: in PARAM_VALUE the bytes of its integers lie in the place of a float
-        (https://mavlink.io/en/services/parameter.html, "bytewise"; ArduPilot converts them).
+    ``px4`` says that PX4 sent it: in PARAM_VALUE the bytes of its integers lie in the place of a float
+    (https://mavlink.io/en/services/parameter.html, "bytewise"; ArduPilot converts them).
     """
     name_field, value_field = _FIELDS[message.name]
     name, value, kind = (message.fields.get(key) for key in (name_field, value_field, "param_type"))

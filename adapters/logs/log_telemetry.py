@@ -62,19 +62,10 @@ def telemetry(
 
     Which record fills a message is decided on the first 5 s of the log, or with the first record that can.
 
-    Parameters
-    ----------
-    batches : Iterable[Batch]
-        The log; messages of other sources pass.
-    mapping : LogMapping
-        What the records stand for.
-    only : Collection[str] | None
-        Names of records and MAVLink messages wanted; None wants all.
-    anew : Callable
-        Reads the log once more, records of some names only: that a vehicle is armed at the begin of a log, its first
-        record of arming or disarming says, and which of a topic's instances moves, all of it.
-    chosen : Callable
-        Called with each rule by which messages are filled.
+    ``only`` names records and MAVLink messages wanted, None wants all; messages of other sources pass. ``anew`` reads
+    the log once more, records of some names only: that a vehicle is armed at the begin of a log, its first record of
+    arming or disarming says, and which of a topic's instances moves, all of it. ``chosen`` is called with each rule by
+    which messages are filled.
     """
     making = _Telemetry(mapping, only, anew, chosen)
     remaining = iter(batches)
@@ -330,14 +321,8 @@ _Piece: TypeAlias = tuple[Integers, Integers, Mapping[str, NDArray[Any]]]
 class _Filler:
     """Fills one kind of message by a rule; waits where values are interpolated between records yet to come.
 
-    Parameters
-    ----------
-    rule : MessageRule
-        The rule.
-    number : int
-        Among all fillers: the first ones go first.
-    unix_minus_boot_ns : int | None
-        Relation of the records' times of arrival to the log's clock, None where no record tells it.
+    ``number`` is its place among all fillers: the first ones go first. ``unix_minus_boot_ns`` relates the records'
+    times of arrival to the log's clock, None where no record tells it.
     """
 
     def __init__(self, rule: MessageRule, number: int, unix_minus_boot_ns: int | None) -> None:
@@ -375,14 +360,8 @@ class _Filler:
     def run(self, batch: Batch, times_ns: Integers, passed: int) -> Iterator[Columns]:
         """Return the messages that the records of a batch make, complete or repeat, at places of :func:`_place`.
 
-        Parameters
-        ----------
-        batch : Batch
-            The records.
-        times_ns : NDArray[np.int64]
-            Their times of arrival (batch.count,).
-        passed : int
-            How many records of the log were before them.
+        ``times_ns`` are the records' times of arrival (batch.count,), ``passed`` is how many records of the log were
+        before them.
         """
         made = self._made(batch, passed)
         if self._linear:
@@ -562,15 +541,9 @@ class _Join:
         Rows that follow each other in time are a run; a clock that goes back ends it, and so does a gap where the
         message needs the topic. A message belongs to the run of the record before it.
 
-        Parameters
-        ----------
-        rows, messages : _Series
-            Records of the topic, no two neighbours of the same time, and messages, as they arrived.
-        required : bool
-            Whether the messages need the topic. Where they do not, the record before stands for a later one that
-            does not come, or that is too far away.
-        end : int | None
-            How many records of the log are known, None for all.
+        No two neighbours of ``rows`` have the same time. Where the messages do not need the topic (``required``), the
+        record before stands for a later one that does not come, or that is too far away. ``end`` is how many records of
+        the log are known, None for all.
         """
         count, times_ns, position = len(messages), messages.received_ns, messages.position
         passed = np.full(count, end is None) if end is None else position + _REACH < end

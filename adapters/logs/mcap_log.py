@@ -89,11 +89,8 @@ class MessageLogWriter:
     pymavlink's definition), Zenoh JSON to ``/zenoh/<key>`` as JSON. Log time and publish time are the time of
     arrival; the order in the file is the order of the calls. Not for several threads at once.
 
-    Parameters
-    ----------
-    target : str | PathLike | BinaryIO
-        File to create, or a stream to write to from its beginning (left open at the end). From an unbuffered file
-        (``io.FileIO``) a write that failed half-way is cut off again.
+    ``target`` is a file to create, or a stream to write to from its beginning (left open at the end). From an
+    unbuffered file (``io.FileIO``) a write that failed half-way is cut off again.
 
     Raises
     ------

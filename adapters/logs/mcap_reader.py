@@ -76,26 +76,13 @@ class MessageLogReader:
     Topics are those of :class:`MessageLogWriter`, and those of others (:mod:`adapters.encoding.foreign_record`).
     Iterate over it once.
 
-    Parameters
-    ----------
-    path : str | PathLike
-        A ``.mcap`` file, plain or with ``.xz`` or ``.gz`` behind.
-    only : Container[str] | None
-        Names of the messages wanted, no others are decoded; None wants all.
-    types : Container[str]
-        ROS 2 types (``sensor_msgs/Imu``) whose topics are wanted whatever they are called, and with any of them the
-        recorded telemetry over Zenoh that is JSON, of which no type is known.
+    The file may have ``.xz`` or ``.gz`` behind its name. ``only`` names the messages wanted, no others are decoded;
+    None wants all. ``types`` are ROS 2 types (``sensor_msgs/Imu``) whose topics are wanted whatever they are called,
+    and with any of them the recorded telemetry over Zenoh that is JSON, of which no type is known.
 
-    Attributes
-    ----------
-    scan : McapRecords
-        The file's records, and what of them is damaged so far.
-    messages : int
-        Messages returned so far.
-    other_records : int
-        Records that are no telemetry (our own estimates and alarms), not wanted, or of topics that cannot be read.
-    damaged_records : int
-        Single records that cannot be decoded.
+    ``scan`` has the file's records, and what of them is damaged so far. ``messages`` counts those returned,
+    ``other_records`` records that are no telemetry (our own estimates and alarms), not wanted, or of topics that cannot
+    be read, ``damaged_records`` single ones that cannot be decoded.
     """
 
     def __init__(

@@ -69,16 +69,10 @@ _LONGEST_MATCH = 64
 class McapRecords:
     """Iterates once over (opcode, body) of a file's records; the body of a chunk is its records, decompressed.
 
-    Attributes
-    ----------
-    damaged_chunks : int
-        Blocks of records that were lost because their checksum or compression does not hold.
-    lost_ways : int
-        How often the next record had to be searched for.
-    stopped_at : int | None
-        Byte at which an unfinished or broken file could not be read on; None after a proper end.
-    broken_off : bool
-        Whether there is something unreadable there; an unfinished file may end between two records.
+    ``damaged_chunks`` counts blocks of records that were lost because their checksum or compression does not hold,
+    ``lost_ways`` how often the next record had to be searched for. ``stopped_at`` is the byte at which an unfinished or
+    broken file could not be read on, None after a proper end; ``broken_off`` whether there is something unreadable
+    there: an unfinished file may end between two records.
     """
 
     def __init__(self, path: Path) -> None:

@@ -69,10 +69,7 @@ def is_unfinished(path: Path) -> bool:
 def finish(path: Path) -> Recovery | None:
     """Give an unfinished file its index; of a message that was cut off, and what is damaged, nothing changes.
 
-    Returns
-    -------
-    Recovery | None
-        None where the file is finished already.
+    None is returned where the file is finished already.
 
     Raises
     ------

@@ -129,17 +129,7 @@ class LogClock:
     A record without a stamp of the log's clock arrives with the one before: one that has none, has 0, or has one of
     another clock; and one that was stamped before the log began, as the last value of a topic that seldom changes is.
 
-    Parameters
-    ----------
-    utc_minus_boot_ns : int
-        That relation.
-    start : LogStart
-        Where the log's clock begins.
-
-    Attributes
-    ----------
-    newest_ns : int
-        Time since boot of the newest record with a stamp that can be one.
+    ``newest_ns`` is the time since boot of the newest record with a stamp that can be one.
     """
 
     def __init__(self, utc_minus_boot_ns: int, start: LogStart) -> None:
@@ -152,14 +142,7 @@ class LogClock:
     def stamps_ns(self, name: str, fields: Mapping[str, Any], count: int) -> NDArray[np.int64]:
         """Return the times since boot of ``count`` records, below any that can be where there is no good one.
 
-        Parameters
-        ----------
-        name : str
-            Their name.
-        fields : Mapping[str, Any]
-            Their fields by name: arrays, or lists of values.
-        count : int
-            Their number n.
+        ``fields`` are theirs by name, arrays or lists of values.
         """
         stamps_ns = own_stamps_ns(fields, count)
         if name in self._start.foreign:
@@ -216,12 +199,7 @@ class StartScan(LogClock):
         Stamps that are close together are of one clock and one flight: the log's are those of most names, and of more
         than half as many names.
 
-        Parameters
-        ----------
-        batches : Iterable[Batch]
-            The log; only its first records are read.
-        head_ns : int | None
-            The time that the head of the file says.
+        Only the log's first records are read. ``head_ns`` is the time that the head of the file says.
         """
         for _ in batches:
             if sum(len(times_ns) for parts in self._stamps.values() for times_ns in parts) >= _SCANNED:
@@ -318,19 +296,8 @@ class Records:
 class Window:
     """The bytes of a file from a place on, at least as many as were asked for, plain or decompressed.
 
-    Parameters
-    ----------
-    path : Path
-        The file; ``.xz`` and ``.gz`` are decompressed.
-    read_ahead_bytes : int
-        How many bytes to hold whenever more have to be read.
-
-    Attributes
-    ----------
-    data : bytes
-        The part of the file that is held; another object where more was read.
-    at : int
-        The place, as an index of ``data``; the reader moves it on.
+    It holds ``read_ahead_bytes`` whenever more have to be read. ``data`` is the part of the file that is held, another
+    object where more was read; ``at`` the place, as an index of it, which the reader moves on.
     """
 
     def __init__(self, path: Path, read_ahead_bytes: int) -> None:
@@ -390,18 +357,9 @@ class OnboardLogReader:
     (:class:`LogClock`). Iterate once; :meth:`statistics` tells what was found. Each kind of log says how its records
     follow one another.
 
-    Parameters
-    ----------
-    path : str | PathLike
-        The log.
-    only : Collection[str] | None
-        Names of the messages wanted; None wants all.
-    utc_minus_boot_ns : int | None
-        Where that relation is known already; None looks for it in the log.
-    read_ahead_bytes : int
-        Bytes of the log, decompressed, in a batch.
-    clock : LogClock | None
-        What gives the records their times; None finds it in the log.
+    ``only`` names the messages wanted, None wants all. Where the relation of boot to UTC, or the clock that gives
+    records their times, is known already, it is not looked for in the log. A batch is of ``read_ahead_bytes`` of the
+    log, decompressed.
     """
 
     source: ClassVar[Source]
@@ -523,15 +481,9 @@ def first_relation(
 ) -> int | None:
     """Return UTC minus time since boot from the first record that tells it; None without one.
 
-    Parameters
-    ----------
-    batches : Iterable[Batch]
-        Records of receivers of satellites, with their times since boot as times of arrival.
-    fields : Sequence[str]
-        Names of the fields that tell UTC.
-    relation : Callable
-        From those times, nanoseconds (n,), and those fields of n records, whole numbers (n,), zero where they have
-        none: the relation, nanoseconds (n,), and whether it can be one (n,).
+    The batches are records of receivers of satellites, with their times since boot as times of arrival. From those
+    times, nanoseconds (n,), and the named ``fields`` of n records, whole numbers (n,), zero where they have none,
+    ``relation`` returns the relation, nanoseconds (n,), and whether it can be one (n,).
     """
     for batch in batches:
         rows = [(group.position, group.received_ns, group.fields) for group in batch.columns]

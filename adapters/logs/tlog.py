@@ -28,14 +28,7 @@ class TlogReader:
     Iterate over it, or over :meth:`packets`, once; :meth:`statistics` tells what was found. Messages with text are no
     columns.
 
-    Parameters
-    ----------
-    path : str | PathLike
-        The log, plain or compressed.
-    only : Container[str] | None
-        Names of the messages wanted; None wants all.
-    read_ahead_bytes : int
-        Bytes of the log, decompressed, in a batch.
+    ``only`` names the messages wanted, None wants all; a batch is of ``read_ahead_bytes`` of the log, decompressed.
     """
 
     def __init__(

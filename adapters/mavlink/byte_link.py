@@ -51,16 +51,11 @@ Piece = tuple[Hashable, bytes, int]
 class ByteLink(Protocol):
     """What all links have in common.
 
-    Attributes
-    ----------
-    connections : int
-        How often a connection was made, the first time included.
-    overruns : int
-        Datagrams dropped because they were not read in time, by the kernel (0 where it does not say) or, where their
-        sender floods, here.
-    stamps_arrivals : bool
-        Whether the kernel notes when each piece arrives, so that it may wait there without harm. Otherwise the time
-        of arrival is that of reading.
+    ``connections`` counts how often a connection was made, the first time included; ``overruns`` datagrams dropped
+    because they were not read in time, by the kernel (0 where it does not say) or, where their sender floods, here.
+
+    ``stamps_arrivals`` says whether the kernel notes when each piece arrives, so that it may wait there without harm.
+    Otherwise the time of arrival is that of reading.
     """
 
     connections: int

@@ -49,21 +49,13 @@ class MavlinkLinkStatistics:
 class MavlinkLink:
     """An open link.
 
-    Parameters
-    ----------
-    url : str
-        See :func:`adapters.mavlink.byte_link.open_byte_link`.
-    guard : SigningGuard | None
-        Refuses packets for their signatures; links of the same vehicles share one. Without it signatures are not
-        looked at.
-    may_send : bool
-        Whether :meth:`send` is allowed.
-    batch_s : float
-        Time from one batch to the next while telemetry comes, seconds: what arrives meanwhile waits in the kernel,
-        which notes its time of arrival. 0 hands on at once whatever is there. The first packet after a longer
-        silence never waits.
-    requests : RateRequests | None
-        Requests for message rates, which go out where sending is allowed.
+    ``url`` is one of :func:`adapters.mavlink.byte_link.open_byte_link`. The ``guard`` refuses packets for their
+    signatures, links of the same vehicles share one; without it signatures are not looked at. ``may_send`` says whether
+    :meth:`send` is allowed, and whether ``requests`` for message rates go out.
+
+    ``batch_s`` is the time from one batch to the next while telemetry comes, seconds: what arrives meanwhile waits in
+    the kernel, which notes its time of arrival. 0 hands on at once whatever is there. The first packet after a longer
+    silence never waits.
 
     Raises
     ------

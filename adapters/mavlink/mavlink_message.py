@@ -106,12 +106,8 @@ def packet_signed(packet: bytes) -> bool:
 class Definition:
     """A message definition with the attributes of pymavlink's classes, of one that pymavlink's dialects lack.
 
-    Parameters
-    ----------
-    name : str
-        Name of the message.
-    fields : str
-        Its fields as a MAVLink header has them, in the order of the definition: ``uint8_t index, int32_t[4] rpm``.
+    Its ``fields`` are written as a MAVLink header has them, in the order of the definition: ``uint8_t index, int32_t[4]
+    rpm``.
     """
 
     def __init__(self, name: str, fields: str) -> None:

@@ -292,11 +292,8 @@ class SigningGuard:
     def findings(self, now_ns: int) -> list[Message]:
         """Return what is new about each system, at most once a second.
 
-        Returns
-        -------
-        list[Message]
-            Of source ``link`` and name ``signing``, from the system that the refused packets claimed to come from;
-            ``forged``, ``replayed`` and ``unsigned`` count them since the start, over all links.
+        They are of source ``link`` and name ``signing``, from the system that the refused packets claimed to come from;
+        ``forged``, ``replayed`` and ``unsigned`` count them since the start, over all links.
         """
         if not self._unreported:
             return []

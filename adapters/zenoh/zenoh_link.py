@@ -51,16 +51,9 @@ class ZenohLinkStatistics:
 class ZenohLink:
     """A subscription to telemetry.
 
-    Parameters
-    ----------
-    session : zenoh.Session
-        An open session; it stays the caller's to close.
-    keyexpr : str
-        Key expression to subscribe to.
-    decoder : PayloadDecoder | None
-        Knows the types of CDR payloads; None: those that samples name themselves and that are shipped.
-    batch_s : float
-        Time from one batch to the next while telemetry comes, seconds; 0 hands on at once whatever is there.
+    The session stays the caller's to close. The ``decoder`` knows the types of CDR payloads; None: those that samples
+    name themselves and that are shipped. ``batch_s`` is the time from one batch to the next while telemetry comes,
+    seconds; 0 hands on at once whatever is there.
 
     Raises
     ------

@@ -27,12 +27,8 @@ class PayloadDecoder:
     the topic, so that neither domain nor type hash, which change with the installation, stand in profiles; other
     keys are names as they are.
 
-    Parameters
-    ----------
-    types : Mapping[str, str]
-        Message types by key expression, the first that matches counts.
-    definitions : Sequence[Path]
-        Folders of .msg files, see :func:`adapters.encoding.message_definition.find_definition`.
+    Of ``types`` by key expression the first that matches counts; ``definitions`` are folders of .msg files, see
+    :func:`adapters.encoding.message_definition.find_definition`.
 
     Raises
     ------

@@ -18,12 +18,8 @@ SAFETY_PARAMETERS = (
 def command_risk(name: str, values: Sequence[float | str]) -> str | None:
     """Return in words what a message does to a vehicle in flight, None where it is harmless.
 
-    Parameters
-    ----------
-    name : str
-        The message's name, or the number of the MAV_CMD in it.
-    values : Sequence[float | str]
-        The parameters of a command; the name of the parameter that is set.
+    ``name`` is the message's, or the number of the MAV_CMD in it; ``values`` are the parameters of a command, or the
+    name of the parameter that is set.
     """
     if name in _MISSION:
         return "rewrites the mission"

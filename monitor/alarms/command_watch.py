@@ -82,12 +82,8 @@ class CommandWatch:
     A risky command of a new sender is critical where others had commanded before; where nobody had (a vehicle armed by
     its radio control, a monitor that started in flight) it is a warning if it ends the flight, else information.
 
-    Attributes
-    ----------
-    known : Mapping[tuple[int, int], None]
-        System and component of who commanded it while it did not fly.
-    most : int
-        The most commands of any second in flight.
+    ``known`` are system and component of who commanded it while it did not fly, ``most`` the most commands of any
+    second in flight.
     """
 
     def __init__(self) -> None:

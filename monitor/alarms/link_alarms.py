@@ -227,11 +227,6 @@ class StaleAlarm:
 
     The alarm is raised ``stale_s`` seconds after the last message that carried a channel, and cleared by the next one;
     a replay finds the same two moments in the recording.
-
-    Attributes
-    ----------
-    limit_ns : int
-        ``stale_s`` in nanoseconds.
     """
 
     def __init__(self, vehicle: str, stale_s: float) -> None:

@@ -36,12 +36,8 @@ class HalfSecond(NamedTuple):
 class HalfSeconds:
     """Collects samples (commands first, then :data:`SIGNALS`) to half seconds.
 
-    Parameters
-    ----------
-    arms : NDArray[np.float64]
-        Where each motor is, in shares of the longest arm forward and right (motors, 2); not a number: not known.
-    metres : float
-        Height of one of the barometer's units.
+    ``arms`` is where each motor is, in shares of the longest arm forward and right (motors, 2), not a number where that
+    is not known; ``metres`` the height of one of the barometer's units.
     """
 
     def __init__(self, arms: NDArray[np.float64], metres: float) -> None:

@@ -45,12 +45,7 @@ _NOTICED = 0.03
 class Load:
     """Looks for loads in half seconds of flight.
 
-    Parameters
-    ----------
-    exponents : tuple[float, float]
-        Between which p lies.
-    mass_kg : float
-        Mass of the vehicle that was fitted; 0 where it is not known.
+    p lies between the ``exponents``; ``mass_kg`` is that of the vehicle that was fitted, 0 where it is not known.
     """
 
     def __init__(self, exponents: tuple[float, float], mass_kg: float) -> None:

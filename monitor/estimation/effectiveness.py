@@ -43,20 +43,11 @@ _SMALLEST_CERTAINTY = 1.0
 def read_effectiveness(
     table: Table, faults: Mapping[str, int | None], inputs: Sequence[str], *, bank: bool
 ) -> dict[str, EffectivenessRule]:
-    """Return the rules of an effectiveness table by fault.
+    """Return the rules of an effectiveness table, in which each fault has one, by fault.
 
-    Parameters
-    ----------
-    table : Table
-        A table for each fault.
-    faults : Mapping[str, int | None]
-        Index of the input that each fault of the observer scales, None where it scales none.
-    inputs : Sequence[str]
-        Names of the observer's inputs.
-    bank : bool
-        Whether the observer is a bank, whose estimates hold under one hypothesis each only.
-
-    Mistakes are recorded in the table's file: a key that is missing, unknown or wrong, or a fault that scales no input.
+    ``faults`` has the index of the input that each fault of the observer scales, None where it scales none. Estimates
+    of a ``bank`` hold under one hypothesis each only. Mistakes are recorded in the table's file: a key that is missing,
+    unknown or wrong, or a fault that scales no input.
     """
     rules = {}
     for name in table:

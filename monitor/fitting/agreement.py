@@ -186,14 +186,8 @@ def agreement(
 ) -> Agreement:
     """Compare each flight with the others.
 
-    Parameters
-    ----------
-    effects : Sequence[ComparedEffect]
-        What each flight estimates (k).
-    flights : Sequence[FlightEffects | str]
-        The flights; of one that says nothing, its name.
-    causes : Sequence[Cause]
-        What may be off alone.
+    ``effects`` are what each flight estimates (k), ``causes`` what may be off alone; of a flight that says nothing
+    there is the name.
     """
     speaking = [flight for flight in flights if isinstance(flight, FlightEffects)]
     silent = tuple(flight for flight in flights if isinstance(flight, str))
@@ -225,16 +219,8 @@ def with_parts(
 
     Of parts only what is far off counts: their covariance is of few blocks.
 
-    Parameters
-    ----------
-    whole : Agreement
-        The comparison of the flights as a whole.
-    flights : Sequence[FlightEffects | str]
-        What they say as a whole.
-    parts : Sequence[FlightEffects]
-        What parts of them say, under the flights' names (k).
-    causes : Sequence[Cause]
-        What may be off alone, of these effects.
+    ``flights`` are what they say as a whole, ``parts`` what parts of them say under the flights' names (k), ``causes``
+    what may be off alone, of these effects.
     """
     if not parts:
         return whole

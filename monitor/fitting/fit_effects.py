@@ -48,21 +48,12 @@ def compare_effects(
 ) -> Comparison | None:
     """Fit on most of the recordings and compare with the rest: the last of three or more, else the last quarter.
 
-    Parameters
-    ----------
-    learn : Callable[[Sequence[Segment]], tuple[Mapping[str, float], Plant]]
-        From training segments to the lags and delays of the actuators, and a discrete plant that measures all its
-        states and takes its inputs so delayed.
-    segments : Callable[[Mapping[str, float]], Sequence[Sequence[Segment]]]
-        Healthy segments of each recording, their inputs delayed by such parameters.
-    rate_hz : float
-        Samples per second.
+    From training segments ``learn`` gives the lags and delays of the actuators, and a discrete plant that measures all
+    its states and takes its inputs so delayed; ``segments`` gives healthy segments of each recording, their inputs
+    delayed by such parameters.
 
-    Returns
-    -------
-    Comparison | None
-        The liveliest seconds of the rest and statistics of all of it; None where what is left to fit on excites too
-        little, or nothing long enough is left to compare with.
+    Return the liveliest seconds of the rest and statistics of all of it; None where what is left to fit on excites too
+    little, or nothing long enough is left to compare with.
     """
     training, _ = split_segments(segments({}))
     try:
@@ -121,17 +112,6 @@ def fit_effects(
     kind: EffectKind, request: FitRequest, signals: EffectSignals, gate: GateRule
 ) -> tuple[Fitted, GateRule]:
     """Identify, design and calibrate; return the observer, and the gate as it is given.
-
-    Parameters
-    ----------
-    kind : EffectKind
-        What differs between them.
-    request : FitRequest
-        Name and healthy recordings.
-    signals : EffectSignals
-        The transform's raw signals.
-    gate : GateRule
-        When samples are evidence.
 
     Raises
     ------

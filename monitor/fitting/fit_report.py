@@ -85,17 +85,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title: str) -> None:
-    """Draw prediction against measurement, residual and its autocorrelation, one row for each output.
-
-    Parameters
-    ----------
-    path : str | PathLike
-        PNG to write.
-    comparison : Comparison
-        What to draw.
-    title : str
-        Stands above.
-    """
+    """Draw prediction against measurement, residual and its autocorrelation, one row for each output."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -23,10 +23,7 @@ _BINS = 64 * _BINS_PER_OCTAVE
 class FlightRate:
     """Counts the steps from stamp to stamp of one message.
 
-    Parameters
-    ----------
-    repeats : bool
-        Whether messages of the same time count, as those that arrive together; else they are one measurement.
+    With ``repeats`` messages of the same time count, as those that arrive together; else they are one measurement.
     """
 
     def __init__(self, *, repeats: bool = False) -> None:

@@ -170,20 +170,9 @@ def write_kept(
 ) -> tuple[str, ...]:
     """Write what a profile keeps of its fit; return the names of flights for which there was no room.
 
-    Parameters
-    ----------
-    folder : Path
-        The profile's.
-    content : Mapping[str, Any]
-        profile.toml as the fit found it, without edits of before.
-    rate_hz : float | None
-        The rate that was asked for.
-    known : Sequence[KeptFlight]
-        Flights that ``source`` keeps already; None: the folder itself.
-    added : Sequence[tuple[str, Extent, BatchSource]]
-        Further flights: name, span and messages.
-    names : Collection[str]
-        Names of the messages to keep of them.
+    ``content`` is profile.toml as the fit found it, without edits of before, ``rate_hz`` the rate that was asked for.
+    ``known`` are flights that ``source`` keeps already, None: the folder itself; ``added`` further flights with their
+    spans and messages, of which those of these ``names`` are kept.
     """
     place = folder / FOLDER
     place.mkdir(parents=True, exist_ok=True)
@@ -268,14 +257,8 @@ def with_edits(
 ) -> tuple[dict[str, Any], list[str]]:
     """Return a profile's table as newly fitted, with what a person had edited in the one before; and where.
 
-    Parameters
-    ----------
-    fitted : Mapping[str, Any]
-        As newly fitted.
-    written, edited : Mapping[str, Any]
-        As the fit before wrote it, and as it is now.
-    path : str
-        Where the table stands, for the list of edits.
+    ``written`` is the table as the fit before wrote it, ``edited`` as it is now; ``path`` is where it stands, for the
+    list of edits.
     """
     found, edits = dict(fitted), list[str]()
     for key in {**written, **edited}:

@@ -45,16 +45,8 @@ def compared(
 ) -> Comparison:
     """Return the liveliest seconds of the longest prediction, and statistics of all of them.
 
-    Parameters
-    ----------
-    names : tuple[str, ...]
-        Names of the outputs (p,).
-    what : str
-        What is predicted, for the title.
-    one_step, ahead : Sequence[Prediction]
-        Of the same stretches: predictions one sample ahead, and :func:`horizon_samples` ahead.
-    rate_hz, shown_s : float
-        Samples per second, and seconds to draw.
+    The ``names`` are those of the outputs (p,), ``what`` is predicted, for the title. ``one_step`` and ``ahead`` are
+    predictions of the same stretches, one sample and :func:`horizon_samples` ahead; ``shown_s`` are drawn.
     """
     longest = max(range(len(ahead)), key=lambda i: len(ahead[i].measured))
     _, measured, predicted = ahead[longest]

@@ -203,12 +203,7 @@ def _stamps(group: _Group) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 class _State:
     """What was seen while the vehicle was armed, was not, or had not said.
 
-    Attributes
-    ----------
-    examples : dict[str, Mapping[str, Any]]
-        Fields of the last message by name.
-    tallies : dict[int, _Tally]
-        Sums of the servo outputs by number.
+    ``examples`` are fields of the last message by name, ``tallies`` sums of the servo outputs by number.
     """
 
     def __init__(self) -> None:

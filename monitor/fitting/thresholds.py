@@ -106,11 +106,8 @@ def healthy_evidence(
     effect units: a hypothesis that healthy flight hardly ever brought to be believed would else look quieter than it
     is.
 
-    Returns
-    -------
-    list[NDArray[np.float64]]
-        Evidence (N, a + 1) of each stretch of samples that count, per the scale of its sizes there, or the root of the
-        residuals' level; the last column is the unexplained score.
+    Return evidence (N, a + 1) of each stretch of samples that count, per the scale of its sizes there, or the root of
+    the residuals' level; the last column is the unexplained score.
     """
     edges = _edges_of(observer)
     levelled = [observer.excitation is None and channel.name not in edges for channel in observer.faults]

@@ -79,19 +79,11 @@ class BlackBox:
     :data:`~monitor.recording.recorder.RETRY_S` seconds up to :data:`MAX_TRIES` times. Nothing is written but by
     :meth:`work` and :meth:`close`; no method raises after construction. Not for several threads at once.
 
-    Parameters
-    ----------
-    folder, vehicle, topics, metadata, profile_files
-        As of :class:`~monitor.recording.recorder.Recorder`; the folder is created where it does not exist.
-    before_s, after_s : float
-        Span of a clip around the moment its alarm was raised, seconds.
-    budget_bytes : int
-        Bytes that the vehicle's clips may take together, checked whenever one is completed. A single clip ends early
-        at a quarter of it.
-    held_records, held_bytes : int
-        Bounds of the records held for alarms to come. A vehicle with two observers at 125 Hz makes 1,000 records a
-        second of 160 bytes on average (measured): the defaults hold 100 s. A clip drops records while twice as many
-        wait to be written.
+    ``before_s`` and ``after_s`` are the span of a clip around the moment its alarm was raised. The vehicle's clips may
+    take ``budget_bytes`` together, checked whenever one is completed; a single clip ends early at a quarter of it.
+    ``held_records`` and ``held_bytes`` bound the records held for alarms to come. A vehicle with two observers at 125
+    Hz makes 1,000 records a second of 160 bytes on average (measured): the defaults hold 100 s. A clip drops records
+    while twice as many wait to be written. The rest is as of :class:`~monitor.recording.recorder.Recorder`.
 
     Raises
     ------

@@ -81,18 +81,10 @@ class Recorder:
     and recording is tried again every :data:`RETRY_S` seconds, in the same file or, of a series, in the next; it
     continues with the alarm events that no file has. Not for several threads at once.
 
-    Parameters
-    ----------
-    target : str | PathLike | FileSeries
-        File to create now, or the files to create with the first record and after that one by one.
-    topics : Sequence[Topic]
-        Topics of the records by their numbers; the encoder adds to them.
-    metadata : Mapping[str, str]
-        Entries of the metadata record ``fauio`` of each file, ahead of its data.
-    profile_files : Mapping[str, bytes]
-        The profile's files by name, attached to each file.
-    strict : bool
-        Whether a write that fails raises OSError and is not tried again: for commands whose result the file is.
+    ``target`` is a file to create now, or the files to create with the first record and after that one by one. The
+    encoder adds to ``topics``, by whose numbers records come. ``metadata`` are entries of the metadata record ``fauio``
+    of each file, ahead of its data; the profile's files, by name, are attached to each. With ``strict`` a write that
+    fails raises OSError and is not tried again: for commands whose result the file is.
 
     Raises
     ------

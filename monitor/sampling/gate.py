@@ -110,18 +110,7 @@ class GatedSamples(NamedTuple):
 class GatedSampler:
     """An observer's samples from the vehicle's messages, each with whether it is evidence.
 
-    Parameters
-    ----------
-    source : SampleSource
-        Where u and y come from.
-    rate_hz : float
-        Samples per second.
-    clock : VehicleClock
-        The vehicle's clock.
-    rule : GateRule
-        When samples count.
-    supply : SupplyRule | None
-        How commands act with the battery's voltage; None: they do not.
+    ``rule`` says when samples count, ``supply`` how commands act with the battery's voltage; None: they do not.
     """
 
     def __init__(

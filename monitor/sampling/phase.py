@@ -96,23 +96,10 @@ def _contested(times: tuple[int, ...], values: tuple[object, ...]) -> bool:
 class FlightPhase:
     """Follows the autopilot's HEARTBEAT, EXTENDED_SYS_STATE and height; other stations' heartbeats are ignored.
 
-    Parameters
-    ----------
-    fitted : Identity | None
-        The vehicle that the profile was fitted to; none of another's samples are evidence. None: of any vehicle.
-
-    Attributes
-    ----------
-    reports : Reports
-        What the vehicle has said of itself.
-    contradiction : str | None
-        What says that it is another vehicle than the one the profile was fitted to; None where nothing does.
-    contested : tuple[str, ...]
-        Names of the messages that two senders answer by turns.
-    driven : bool
-        Whether the vehicle is taken to fly although it reports that it does not, for its commands are those of flight.
-    interests : frozenset[str]
-        Names of the messages it reads.
+    Of another vehicle than the one that the profile was ``fitted`` to no samples are evidence. ``reports`` are what the
+    vehicle has said of itself; ``contradiction`` says that it is another, None where nothing does; ``contested`` names
+    the messages that two senders answer by turns. It is ``driven`` where it is taken to fly although it reports that it
+    does not, for its commands are those of flight. ``interests`` names the messages it reads.
     """
 
     interests: ClassVar[frozenset[str]] = Reports.interests | {"EXTENDED_SYS_STATE", "GLOBAL_POSITION_INT"}

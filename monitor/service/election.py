@@ -75,10 +75,7 @@ class Election:
     a later term: who was taken for dead and comes back yields. Who is the oldest goes by Unix time, which only puts the
     names in order: where a clock was set, another one leads, and nobody waits longer.
 
-    Attributes
-    ----------
-    term : int
-        Term in which this monitor is active, or was; set by who knows the numbers of earlier events.
+    ``term`` is the one in which this monitor is active, or was; set by who knows the numbers of earlier events.
     """
 
     def __init__(self, session: zenoh.Session, root: str, seal: Seal, takeover_s: float = 0.5) -> None:

@@ -61,19 +61,9 @@ let more noise through."""
 def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
     """Identify the plant that a model file with free parameters describes, design its observer, calibrate its alarms.
 
-    Parameters
-    ----------
-    request : FitRequest
-        Healthy recordings and the model: see :mod:`gains.identification.free_model`; its ``[channels]`` say where
-        inputs and outputs come from, its ``[phase]`` when samples count (as in a profile; flight is not required
-        unless it says so).
-
-    Returns
-    -------
-    fitted : Fitted
-        The observer, named after the model.
-    gate : GateRule
-        When samples are evidence: as the model says, and not before the observer has settled.
+    The request's model is one of :mod:`gains.identification.free_model`: its ``[channels]`` say where inputs and
+    outputs come from, its ``[phase]`` when samples count (as in a profile; flight is not required unless it says so).
+    The observer is named after it, and its samples are evidence as it says, and not before it has settled.
 
     Raises
     ------

@@ -199,10 +199,7 @@ class Strapdown:
 class LearnedBias:
     """What the autopilot's estimator takes off its gyros: raw ones that come seldom less its rates of the same time.
 
-    Parameters
-    ----------
-    hold : int
-        Samples for which a difference holds; then the gyros are lost.
+    A difference holds for ``hold`` samples; then the gyros are lost.
     """
 
     def __init__(self, hold: int) -> None:

@@ -92,19 +92,10 @@ _LEAST_AMPS = 0.05
 class BatteryInputs:
     """Samples of a battery: its resistance in shares of the usual one, and what is known beside it.
 
-    Parameters
-    ----------
-    parameters : Mapping[str, float]
-        ``ohm``: usual resistance; ``doubt``: lambda, A^2; ``charge``: that of a full battery, As, 0 where it is not
-        known; ``memory_s``: time constant of the moments, 20 where it is left out; ``cells``: in how many parts the
-        voltage is reported, 1 where it is left out.
-    signal_rate_hz, rate_hz : float
-        Raw samples and given samples per second, which are the same.
-
-    Raises
-    ------
-    TelemetryError
-        A parameter is missing, unknown or out of range, or the rates differ.
+    Parameters are ``ohm``: usual resistance; ``doubt``: lambda, A^2; ``charge``: that of a full battery, As, 0 where it
+    is not known; ``memory_s``: time constant of the moments, 20 where it is left out; ``cells``: in how many parts the
+    voltage is reported, 1 where it is left out. Raw samples come as often as samples are given; TelemetryError is
+    raised where a parameter is missing, unknown or out of range.
     """
 
     inputs, outputs = ("battery", "ohm", "current", "left_s"), ("resistance",)

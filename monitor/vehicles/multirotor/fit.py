@@ -77,11 +77,8 @@ SHOWN_S = 10.0
 def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> Comparison | None:
     """Fit on most of the recordings and compare with the rest: the last of three or more, else the last quarter.
 
-    Returns
-    -------
-    Comparison | None
-        The liveliest seconds of the rest and statistics of all of it; None where what is left to fit on is too short,
-        or nothing long enough is left to compare with.
+    Return the liveliest seconds of the rest and statistics of all of it; None where what is left to fit on is too
+    short, or nothing long enough is left to compare with.
     """
     training, rest = split_segments(flights)
     places = {id(segment.u): number for number, flight in enumerate(flights) for segment in flight}

@@ -237,14 +237,7 @@ class _Descent:
 
     Those of an axis are B_o (s), c_o / (1 - a_o) of each flight, and a_o.
 
-    Parameters
-    ----------
-    stretches : Sequence[_Stretch]
-        The flights.
-    rate_hz : float
-        Samples per second.
-    effects : FloatArray
-        By axis the geometry's effects, which are taken instead of what the flights say; zeros where they do (3, s).
+    ``effects`` are by axis the geometry's, which are taken instead of what the flights say; zeros where they do (3, s).
     """
 
     def __init__(self, stretches: Sequence[_Stretch], rate_hz: float, effects: FloatArray) -> None:

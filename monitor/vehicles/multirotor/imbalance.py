@@ -101,18 +101,9 @@ _TIMES = Times(fast_s=1.0, raise_s=2.0, slow_s=10.0, clear_s=2.0)
 class ImbalanceInputs:
     """Samples of a multirotor's propellers: expected and measured logarithm of each one's line in the vibration.
 
-    Parameters
-    ----------
-    parameters : Mapping[str, float]
-        ``output1`` and so on: numbers of the motors' outputs; for each motor n ``rpmN`` (that of hovering), ``cN_0``
-        and ``cN_1``; ``least``: the smallest amplitude that counts, m/s^2.
-    signal_rate_hz, rate_hz : float
-        Raw samples and given samples per second; the first is a whole multiple of the second.
-
-    Raises
-    ------
-    TelemetryError
-        A parameter is missing, unknown or out of range, or the rates do not fit.
+    Parameters are ``output1`` and so on: numbers of the motors' outputs; for each motor n ``rpmN`` (that of hovering),
+    ``cN_0`` and ``cN_1``; ``least``: the smallest amplitude that counts, m/s^2. Rates and errors are those of
+    :class:`monitor.sampling.scaled.ScaledInputs`.
     """
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
@@ -151,14 +142,7 @@ class ImbalanceInputs:
 class Lines:
     """Amplitudes of the lines of motors in raw accelerations.
 
-    Parameters
-    ----------
-    motors : int
-        How many.
-    signal_rate_hz : float
-        Raw samples per second.
-    size : int
-        Raw samples of a tick.
+    A tick has ``size`` raw samples.
     """
 
     def __init__(self, motors: int, signal_rate_hz: float, size: int) -> None:

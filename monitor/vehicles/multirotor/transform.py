@@ -42,16 +42,8 @@ deviation worth an alarm."""
 class HeldMeans:
     """Means over ticks of what held when speeds were measured last; some of it after a delay and lag.
 
-    Parameters
-    ----------
-    timing : Sequence[tuple[float, float]]
-        Delay and lag of each of the first inputs, seconds.
-    signal_rate_hz : float
-        Raw samples per second.
-    size : int
-        Raw samples of a tick.
-    inputs, outputs : int
-        Widths of u and y.
+    ``timing`` is delay and lag of each of the first inputs, seconds; a tick has ``size`` raw samples; ``inputs`` and
+    ``outputs`` are the widths of u and y.
     """
 
     def __init__(
@@ -82,10 +74,7 @@ class HeldMeans:
 class OneTickLater:
     """Puts measurements one tick later, to what a plant that takes a tick makes of expectations.
 
-    Attributes
-    ----------
-    u : NDArray[np.float64]
-        What the measurements that were returned last belong to.
+    ``u`` is what the measurements that were returned last belong to.
     """
 
     def __init__(self) -> None:
@@ -124,24 +113,14 @@ def motor_outputs(parameters: Mapping[str, float]) -> dict[str, int]:
 class EscInputs:
     """Samples of a multirotor's speed controllers: expected and measured speed, and current where it is measured.
 
-    Parameters
-    ----------
-    parameters : Mapping[str, float]
-        ``output1`` and so on: numbers of the motors' outputs; ``volts``: usual voltage, 0 where it is not measured;
-        ``delay_s``, ``lag_s`` of speed behind command; for each motor n ``rpmN`` (that of hovering) and ``rpmN_c0`` to
-        ``rpmN_c3``; the same of ``ampsN`` for all or none; ``curves``: 2, or left out in profiles of old; ``least``:
-        smallest command that was flown, 0 where it is left out. Below it the curves were never seen: no evidence.
-        ``fastest``: fastest change of a command that was flown, per second, left out for any. Beyond it what a command
-        did between two messages is not known well enough: no evidence either. ``most``: largest command that was flown,
-        left out for any; beyond it sizes are ``doubt`` times the square of the excess larger, as the curve's bend is
-        not known there.
-    signal_rate_hz, rate_hz : float
-        Raw samples and given samples per second; the first is a whole multiple of the second.
-
-    Raises
-    ------
-    TelemetryError
-        A parameter is missing, unknown or out of range, or the rates do not fit.
+    Parameters are ``output1`` and so on: numbers of the motors' outputs; ``volts``: usual voltage, 0 where it is not
+    measured; ``delay_s``, ``lag_s`` of speed behind command; for each motor n ``rpmN`` (that of hovering) and
+    ``rpmN_c0`` to ``rpmN_c3``; the same of ``ampsN`` for all or none; ``curves``: 2, or left out in profiles of old;
+    ``least``: smallest command that was flown, 0 where it is left out. Below it the curves were never seen: no
+    evidence. ``fastest``: fastest change of a command that was flown, per second, left out for any. Beyond it what a
+    command did between two messages is not known well enough: no evidence either. ``most``: largest command that was
+    flown, left out for any; beyond it sizes are ``doubt`` times the square of the excess larger, as the curve's bend is
+    not known there. Rates and errors are those of :class:`monitor.sampling.scaled.ScaledInputs`.
     """
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:

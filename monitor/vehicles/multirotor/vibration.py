@@ -79,17 +79,8 @@ _FAULT_RATE = 0.5
 class VibrationInputs:
     """Samples of vibration: the expected logarithm of its level, the measured one, and clipped samples per second.
 
-    Parameters
-    ----------
-    parameters : Mapping[str, float]
-        ``motors``, their number, ``least``, the smallest level that counts, ``c0`` to ``c3``.
-    signal_rate_hz, rate_hz : float
-        Raw samples and given samples per second; the first is a whole multiple of the second.
-
-    Raises
-    ------
-    TelemetryError
-        A parameter is missing, unknown or out of range, or the rates do not fit.
+    Parameters are ``motors``, their number, ``least``, the smallest level that counts, ``c0`` to ``c3``. Rates and
+    errors are those of :class:`monitor.sampling.scaled.ScaledInputs`.
     """
 
     inputs, outputs = ("expected",), ("level", "clips")
