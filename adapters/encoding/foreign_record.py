@@ -68,10 +68,7 @@ def _definition(schema: Schema) -> str:
 def json_object(data: bytes) -> dict[str, Any]:
     """Return the fields of a JSON record.
 
-    Raises
-    ------
-    ValueError
-        It is no JSON object.
+    ValueError is raised where it is no JSON object.
     """
     try:
         fields = json.loads(data)
@@ -96,10 +93,7 @@ class ProtobufFields:
     def decode(self, data: bytes) -> dict[str, Any]:
         """Return a message's fields.
 
-        Raises
-        ------
-        ValueError
-            The bytes are no such message.
+        ValueError is raised where the bytes are none.
         """
         from google.protobuf.message import DecodeError
 

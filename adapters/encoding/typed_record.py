@@ -91,10 +91,7 @@ def mavlink_class(name: str, of_log: bool = False) -> Any:
 def _layout(pb_class: Any) -> tuple[tuple[str, str], frozenset[str]]:
     """Return the names of the sender's ids in the class of a MAVLink message, and those of its own fields.
 
-    Raises
-    ------
-    ValueError
-        The ids are missing; the schema of a damaged file may have anything in their place.
+    ValueError is raised where the ids are missing: the schema of a damaged file may have anything in their place.
     """
     fields = pb_class.DESCRIPTOR.fields
     ids = {field.number: field.name for field in fields if field.type == field.TYPE_UINT32 and not field.is_repeated}
@@ -133,13 +130,7 @@ def _log_class(source: Source, name: str, fields: tuple[Field, ...]) -> Any:
 
 
 def _fields(values: Mapping[str, Any]) -> tuple[Field, ...]:
-    """Return names and kinds of a record's values; records of one topic share them.
-
-    Raises
-    ------
-    ValueError
-        A value, or a name, is none that a typed record can hold.
-    """
+    """Return names and kinds of a record's values; raise ValueError where a typed record cannot hold one."""
     if identifiers(tuple(values)) != tuple(values):
         raise ValueError("names that are no protobuf identifiers")
     return tuple(_field(name, value) for name, value in values.items())
@@ -162,10 +153,7 @@ def _field(name: str, value: Any) -> Field:
 class TypedRecords:
     """Decodes the records of one topic that :func:`to_protobuf` made, one by one when called, or many at once.
 
-    Raises
-    ------
-    ValueError
-        The class is none of such messages.
+    ValueError is raised where the class is none of such messages.
     """
 
     def __init__(self, source: Source, name: str, pb_class: Any) -> None:
@@ -180,10 +168,7 @@ class TypedRecords:
     def __call__(self, data: bytes, time_ns: int) -> Message:
         """Return one of them as a message.
 
-        Raises
-        ------
-        ValueError
-            The bytes are no such record.
+        ValueError is raised where it is none.
         """
         fields = self._fields.decode(data)
         ids = [fields.pop(name) for name in self._ids]

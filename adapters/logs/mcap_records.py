@@ -250,13 +250,7 @@ def _plausible(opcode: int, length: int) -> bool:
 
 
 def _decompressed(shape: _Shape, data: bytes) -> bytes:
-    """Return a chunk's records.
-
-    Raises
-    ------
-    ValueError
-        Checksum, size or compression do not hold; other errors of :data:`UNREADABLE` too.
-    """
+    """Return a chunk's records; raise one of :data:`UNREADABLE` where checksum, size or compression do not hold."""
     records = _expand(shape, data)
     if len(records) != shape.size or (shape.crc and zlib.crc32(records) != shape.crc):
         raise ValueError("the chunk is damaged")

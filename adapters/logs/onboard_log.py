@@ -310,13 +310,7 @@ class Window:
         self.at = 0
 
     def fill(self, count: int) -> bool:
-        """Hold at least ``count`` bytes from the place on; return whether the file has as many.
-
-        Raises
-        ------
-        TelemetryError
-            The file cannot be opened.
-        """
+        """Hold at least ``count`` bytes from the place on; return whether the file has as many."""
         if self.left >= count or self._ended:
             return self.left >= count
         pieces = [self.data[self.at :]]

@@ -273,13 +273,7 @@ def packed(source: Iterable[Message], count: int = BATCH_MESSAGES) -> Iterator[B
 
 
 def onboard_source(path: str | os.PathLike[str]) -> str | None:
-    """Return which onboard log a recording is or was converted from: ``"ulog"``, ``"dataflash"``, None for none.
-
-    Raises
-    ------
-    TelemetryError
-        See :func:`recording_kind`.
-    """
+    """Return which onboard log a recording is or was converted from: ``"ulog"``, ``"dataflash"``, None for none."""
     kind = recording_kind(path)
     if kind in ("ulog", "dataflash"):
         return kind
@@ -288,13 +282,7 @@ def onboard_source(path: str | os.PathLike[str]) -> str | None:
 
 
 def recorded_alarms(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
-    """Return the alarm events that a monitor recorded, as JSON objects in their order; none where none did.
-
-    Raises
-    ------
-    TelemetryError
-        See :func:`recording_kind`, or no file holds anything of its kind.
-    """
+    """Return the alarm events that a monitor recorded, as JSON objects in their order; none where none did."""
     if recording_kind(path) != "mcap":
         return []
     from adapters.encoding.foreign_record import json_object
@@ -310,13 +298,7 @@ def recorded_alarms(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
 
 
 def recorded_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Return what a recording of ours says about itself ahead of its data; empty where others made it.
-
-    Raises
-    ------
-    TelemetryError
-        See :func:`recording_kind`.
-    """
+    """Return what a recording of ours says about itself ahead of its data; empty where others made it."""
     if recording_kind(path) != "mcap":
         return {}
     from adapters.logs.mcap_reader import read_mcap_metadata
@@ -328,13 +310,7 @@ def recorded_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
 
 
 def recorded_vehicle(path: str | os.PathLike[str]) -> str | None:
-    """Return the name under which a monitor recorded its vehicle, None where no monitor made the recording.
-
-    Raises
-    ------
-    TelemetryError
-        See :func:`recording_kind`.
-    """
+    """Return the name under which a monitor recorded its vehicle, None where no monitor made the recording."""
     return recorded_metadata(path).get("vehicle")
 
 

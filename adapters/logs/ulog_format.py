@@ -60,10 +60,7 @@ class UlogType:
 def parse_format(definition: bytes) -> tuple[str, tuple[UlogField, ...]]:
     """Return name and fields of a format definition, ``name:type field;type[count] field;``.
 
-    Raises
-    ------
-    ValueError
-        It is none.
+    ValueError is raised where it is none.
     """
     match = _FORMAT.fullmatch(definition.decode("ascii"))
     if match is None:
@@ -147,10 +144,7 @@ def _nested(inner: RecordLayout, values: np.ndarray[Any, Any]) -> FieldValues:
 def decode_keyed(data: bytes) -> tuple[str, str, Any]:
     """Return name, type and value of an information or a parameter: length of ``type name``, that, the value.
 
-    Raises
-    ------
-    ValueError
-        The bytes are no such thing.
+    ValueError is raised where the bytes are none.
     """
     length = data[0] if data else 0
     match = _KEYED.fullmatch(data[1 : 1 + length].decode("ascii"))

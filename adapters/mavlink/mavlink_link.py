@@ -56,11 +56,6 @@ class MavlinkLink:
     ``batch_s`` is the time from one batch to the next while telemetry comes, seconds: what arrives meanwhile waits in
     the kernel, which notes its time of arrival. 0 hands on at once whatever is there. The first packet after a longer
     silence never waits.
-
-    Raises
-    ------
-    TelemetryError
-        The link cannot be opened.
     """
 
     def __init__(

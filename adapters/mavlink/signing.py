@@ -194,10 +194,7 @@ class SignatureVerifier:
     def restore(self, stamps: object, now_ns: int) -> None:
         """Go on from an earlier run's :meth:`stamps`, at Unix time ``now_ns``.
 
-        Raises
-        ------
-        ValueError
-            They are no such thing.
+        ValueError is raised where they are none.
         """
         if not isinstance(stamps, dict):
             raise ValueError("no table of time stamps")

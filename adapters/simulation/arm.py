@@ -127,10 +127,7 @@ def make_fault(
 def parse_fault(text: str) -> ArmFault:
     """Return the fault that ``CHANNEL:KIND:START:STOP:SIZE[:HZ]`` describes (``f_a:step:10:20:2``).
 
-    Raises
-    ------
-    UsageError
-        It is not of this form.
+    UsageError is raised where it is none.
     """
     form = f"fault '{text}': write CHANNEL:KIND:START:STOP:SIZE[:HZ], like f_a:step:10:20:2"
     parts = text.split(":")

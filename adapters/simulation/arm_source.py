@@ -88,13 +88,7 @@ def arm_payloads(run: ArmRun) -> Iterator[tuple[int, bytes]]:
 
 
 def send_arm(run: ArmRun, url: str, speed: float = 1.0) -> int:
-    """Send the run as MAVLink to ``udpout:HOST:PORT``, at so many times real time; return the number of packets.
-
-    Raises
-    ------
-    TelemetryError
-        The URL is not understood.
-    """
+    """Send the run as MAVLink to ``udpout:HOST:PORT``, at so many times real time; return the number of packets."""
     kind, _, where = url.partition(":")
     if kind not in ("udp", "udpout"):
         raise TelemetryError(f"{url}: the arm sends over UDP only; use udpout:HOST:PORT")
@@ -114,11 +108,6 @@ def publish_arm(
 
     Starts when somebody subscribes, at the latest after 5 s. ``connect`` and ``config_file`` are those of
     :func:`adapters.zenoh.zenoh_session.open_session`.
-
-    Raises
-    ------
-    TelemetryError
-        The key, an endpoint or the configuration is not understood.
     """
     import zenoh
 

@@ -166,13 +166,7 @@ _EXCUSES = (
 
 
 def fit_alone(request: FitRequest) -> tuple[Fitted, GateRule]:
-    """Fit the inertial observer alone. Of a vehicle that does not fly, armed is enough for samples to be evidence.
-
-    Raises
-    ------
-    TelemetryError, ModelError, InfeasibleError
-        As :func:`fit_inertial`.
-    """
+    """Fit the inertial observer alone. Of a vehicle that does not fly, armed is enough for samples to be evidence."""
     names = [name for survey in request.surveys for name in survey.vehicle_types]
     gate = GateRule(settle_s=SETTLE_S, require_airborne=any(word in name for name in names for word in _FLYING))
     return fit_inertial(request, gate, alone=True), gate

@@ -148,13 +148,7 @@ def inertial_hypotheses(plant: Plant) -> tuple[tuple[str, ...], ...]:
 
 
 def inertial_bank(plant: Plant) -> tuple[Hypothesis, ...]:
-    """Return a certified observer for each hypothesis, designed block by block.
-
-    Raises
-    ------
-    ModelError, InfeasibleError, InaccurateError
-        As :func:`gains.synthesis.blocks.design_blocks`.
-    """
+    """Return a certified observer for each hypothesis, designed block by block."""
     plants = [(found, restricted(plant, found)) for found in inertial_hypotheses(plant)]
     return tuple(Hypothesis(found, part, design_blocks(part, h2=_H2_SHARE)) for found, part in plants)
 

@@ -140,13 +140,7 @@ def _rates(names: Sequence[str]) -> list[Channel]:
 
 
 def common_channels(surveys: Sequence[Survey]) -> StrapdownSource:
-    """Choose the channels from the messages that every recording holds: an autopilot's, else those of ROS 2.
-
-    Raises
-    ------
-    TelemetryError
-        As :func:`strapdown_channels`, or :func:`monitor.vehicles.inertial.ros_signals.ros_channels`.
-    """
+    """Choose the channels from the messages that every recording holds: an autopilot's, else those of ROS 2."""
     examples = _examples(surveys)
     if "ATTITUDE" not in examples:
         rates = {name: min(found.rate_hz.get(name, 0.0) for found in surveys) for name in examples}
@@ -206,13 +200,7 @@ def inertial_rate_hz(surveys: Sequence[Survey], source: StrapdownSource) -> floa
 
 
 def preview(survey: Survey) -> Preview:
-    """Return what could be watched with the messages of a recording, and which sensors are missing.
-
-    Raises
-    ------
-    TelemetryError
-        No attitude or no inertial measurement.
-    """
+    """Return what could be watched with the messages of a recording, and which sensors are missing."""
     source = common_channels([survey])
     gps, barometer, magnetometer = (bool(source.parameters[name]) for name in ("gps", "barometer", "magnetometer"))
     learned = with_learned_biases([survey], source) is not None

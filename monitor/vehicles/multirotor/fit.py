@@ -217,11 +217,6 @@ def fit_props(request: FitRequest, gate: GateRule) -> Fitted | None:
     """Fit an observer whose inputs are speeds of motors that come slowly; None where they do not.
 
     Where they come fast those of the motors observer are (:func:`fit_multirotor`).
-
-    Raises
-    ------
-    TelemetryError, ModelError, InfeasibleError
-        As :func:`fit_multirotor`.
     """
     commands, outputs = multirotor_channels(request.surveys)
     speeds = motor_speeds(request, gate, commands)
@@ -234,11 +229,6 @@ def fit_trim(request: FitRequest, gate: GateRule) -> Fitted | None:
     """Fit an observer of the mean command of each second beside a faster one; None where commands come that slowly.
 
     It sees what manoeuvres and noise hide from the fast one: a propeller that is cut, or dirty, for a whole flight.
-
-    Raises
-    ------
-    TelemetryError, ModelError, InfeasibleError
-        As :func:`fit_multirotor`.
     """
     commands, outputs = multirotor_channels(request.surveys)
     drive = replace(_commanded(request, gate, commands), observer=TRIM)
@@ -332,13 +322,7 @@ def _supply_text(supply: SupplyRule) -> str:
 
 
 def _check_watched(motors: Sequence[str], hover: Sequence[float], alarms: Sequence[Calibrated]) -> None:
-    """Make sure that some motor's loss would be an alarm.
-
-    Raises
-    ------
-    ModelError
-        Even a motor that does nothing would be none: what moves the vehicle is something else than its commands.
-    """
+    """Make sure that some motor's loss would be an alarm."""
     rules = {calibrated.rule.channel: calibrated.rule for calibrated in alarms}
     least = min(rules[motor].threshold / command for motor, command in zip(motors, hover, strict=True))
     if least >= 1.0:
@@ -465,10 +449,7 @@ def _frame_of(request: FitRequest, drive: _Drive) -> Frame | None:
 def _frame(request: FitRequest, gate: GateRule, drive: _Drive, rates: Sequence[Channel]) -> tuple[Frame, str]:
     """Return the vehicle's frame, and what tells it: the parameters, or which standard frame goes with the motion.
 
-    Raises
-    ------
-    UntoldError
-        Neither does.
+    UntoldError is raised where neither does.
     """
     if (frame := _frame_of(request, drive)) is not None:
         return frame, "the vehicle's parameters"

@@ -79,13 +79,7 @@ class CommandRange:
 
 
 def preview(survey: Survey) -> Preview:
-    """Return what could be watched with the messages of a recording.
-
-    Raises
-    ------
-    TelemetryError
-        A message that is needed is missing; the text says which to stream.
-    """
+    """Return what could be watched with the messages of a recording."""
     inputs, outputs = multirotor_channels([survey])
     channels = (*inputs, *outputs)
     watches = (*(channel.name for channel in inputs), "gyro_x", "gyro_y", "gyro_z")

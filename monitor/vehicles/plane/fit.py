@@ -74,10 +74,5 @@ def fit_plane(request: FitRequest) -> tuple[Fitted, GateRule]:
     """Identify a plane's surfaces and throttle on healthy recordings, design the observer, calibrate its alarms.
 
     Samples are evidence while the plane is armed, and in the air where it says so; a slow one never is.
-
-    Raises
-    ------
-    TelemetryError, ModelError, InfeasibleError
-        The recordings do not hold what is needed, excite no axis, or allow no certified design.
     """
     return fit_effects(_PLANE, request, plane_signals(request.surveys), GateRule(settle_s=SETTLE_S))

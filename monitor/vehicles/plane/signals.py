@@ -37,12 +37,6 @@ def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
 
 
 def preview(survey: Survey) -> Preview:
-    """Return what could be watched with the messages of a recording.
-
-    Raises
-    ------
-    TelemetryError
-        As :func:`plane_signals`.
-    """
+    """Return what could be watched with the messages of a recording."""
     signals = plane_signals([survey])
     return Preview(("aileron", "elevator", "throttle", "rudder"), signals.channels, signals.rate_hz)

@@ -107,11 +107,6 @@ def fit_rover(request: FitRequest) -> tuple[Fitted, GateRule]:
     """Identify a rover's steering and throttle on healthy recordings, design the observer, calibrate its alarms.
 
     Samples are evidence while the rover is armed; where it is slow they never are.
-
-    Raises
-    ------
-    TelemetryError, ModelError, InfeasibleError
-        The recordings do not hold what is needed, excite no axis, or allow no certified design.
     """
     gate = GateRule(require_airborne=False, settle_s=SETTLE_S)
     return fit_effects(_ROVER, request, rover_signals(request.surveys), gate)

@@ -40,12 +40,6 @@ def rover_signals(surveys: Sequence[Survey]) -> EffectSignals:
 
 
 def preview(survey: Survey) -> Preview:
-    """Return what could be watched with the messages of a recording.
-
-    Raises
-    ------
-    TelemetryError
-        As :func:`rover_signals`.
-    """
+    """Return what could be watched with the messages of a recording."""
     signals = rover_signals([survey])
     return Preview(("steering", "throttle"), signals.channels, signals.rate_hz)
