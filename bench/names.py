@@ -121,7 +121,9 @@ def _whole(kind: str) -> Case:
     """Return frozen or replayed measurements, all of them."""
     numbers = {"source_ns": -20} if kind == "replay" else {}
     attacks = [Attack(channel, kind, 0, 1, **numbers) for channel in (*_ALL, "ATTITUDE.yaw")]  # type: ignore[arg-type]
-    return Case(f"all measurements {kind}", lambda *_: attacks, frozenset({"telemetry", "frozen", "blind"}), {})
+    return Case(
+        f"all measurements {kind}", lambda *_: attacks, frozenset({"telemetry", "frozen", "blind", "impostor"}), {}
+    )
 
 
 CASES: tuple[Case, ...] = (

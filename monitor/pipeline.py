@@ -57,6 +57,8 @@ _TWICE_NUMBERED = (
     "its packets bear two series of sequence numbers (or several links of the vehicle are put together into one: give "
     "each a port of its own)"
 )
+_BY_TURNS = "came more often than before, with values of two senders by turns"
+_SENT_BEFORE = "brings values that it brought before, one after the other: a recorded stretch is sent again"
 _NUMBERED_NS = 10_000_000_000
 """How long that is said after the last finding. Chosen: as long as clocks are contested (``core/sampling.pyx``)."""
 
@@ -129,7 +131,7 @@ class Pipeline:
         self._interests = self.interests
         self._down_ns: int | None = None  # since when the vehicle reports that its flight is over
         self._driven_ns: int | None = None  # when to compare commands with the report that it does not fly
-        self._forged: Sequence[str] = ()  # messages that have two senders by their values
+        self._forged: Mapping[str, str] = {}  # messages that have two senders by their values, and what says so
         self._numbered_ns = 0  # until when sequence numbers show two senders
         self._flown_ns = 0  # when it last reported to fly
         self.foreign = 0
@@ -334,10 +336,9 @@ class Pipeline:
         flood_ns = start_ns + round(self._desk.rule.flood_s * 1e9)
         shelved_ns = self._desk.due_ns
         blind_ns = self._blind.due_ns(self._flies(), start_ns)
-        contested_ns = min(
-            (ns for ns in (self._clock.contested_ns, *self._clock.splits.values(), self._numbered_ns) if start_ns < ns),
-            default=flood_ns,
-        )
+        clock = self._clock
+        until_ns = clock.contested_ns, *clock.splits.values(), *clock.repeats.values(), self._numbered_ns
+        contested_ns = min((ns for ns in until_ns if start_ns < ns), default=flood_ns)
         if self._driven_ns is not None:
             contested_ns = min(contested_ns, self._driven_ns)
         due_ns = min(flood_ns, blind_ns, contested_ns, self._landed_ns, self._link.due_ns)
@@ -426,7 +427,8 @@ class Pipeline:
 
     def _contradict(self, now_ns: int) -> list[AlarmEvent]:
         """Follow what arrived lately that two senders must have sent; return the events that a change causes."""
-        before, self._forged = self._forged, sorted(n for n, until in self._clock.splits.items() if now_ns < until)
+        before, split = self._forged, [(self._clock.splits, _BY_TURNS), (self._clock.repeats, _SENT_BEFORE)]
+        self._forged = {n: what for found, what in split for n, until in sorted(found.items()) if now_ns < until}
         certain = self._contradictions(now_ns)
         self.contradictions = [*certain, *[_TWICE_NUMBERED] * (now_ns < self._numbered_ns)]
         events = self._link.contradict(self.contradictions, now_ns, "critical" if certain else "warning")
@@ -443,8 +445,7 @@ class Pipeline:
         if now_ns < self._clock.contested_ns:
             apart_s = abs(self._clock.rival_ns) / 1e9
             found.append(f"its messages were stamped by two clocks, {apart_s:.1f} s apart")
-        by_turns = "came more often than before, with values of two senders by turns"
-        return [*found, *(f"its {name} {by_turns}" for name in self._forged)]
+        return [*found, *(f"its {name} {what}" for name, what in self._forged.items())]
 
     def _flight(self) -> tuple[bool, bool]:
         """Return whether evidence is expected, and whether what arrives contradicts itself."""

@@ -100,6 +100,27 @@ def test_a_forged_value_now_and_then_is_an_impostor(
     assert first.time_ns - flight[0].received_ns < (START_S + limit_s) * 1e9
 
 
+@pytest.mark.parametrize("stamped_anew", [True, False])
+def test_a_recorded_stretch_that_is_sent_again_is_an_impostor(
+    profile: Profile, flight: list[Message], stamped_anew: bool
+) -> None:
+    behind_s = 15.0
+
+    def again(message: Message) -> Message:
+        later = forged(message, behind_s, {})
+        return later if stamped_anew else replace(message, received_ns=later.received_ns)
+
+    def gone_s(message: Message) -> float:
+        return (message.received_ns - flight[0].received_ns) / 1e9
+
+    recorded = [message for message in flight if gone_s(message) < 20.0]
+    first = impostors(profile, [*recorded, *(again(message) for message in recorded if gone_s(message) > 5.0)])[0]
+    assert first.severity == "critical"
+    assert "HIGHRES_IMU" in first.message
+    assert "sent again" in first.message
+    assert first.time_ns - flight[0].received_ns < 20.5e9
+
+
 @pytest.mark.parametrize("share", [0.2, 0.45, 0.5])
 @pytest.mark.parametrize(
     ("name", "changes"),

@@ -60,6 +60,7 @@ from libc.stdlib cimport qsort
 from libc.string cimport memcpy, memmove
 
 from monitor.core.interleaved cimport Interleaved
+from monitor.core.repeats cimport SENSES, Repeats
 
 cdef extern from *:
     """
@@ -221,13 +222,15 @@ cdef class VehicleClock:
         By how much the other sender's stamps were ahead when the contest began.
     splits : dict[str, int]
         Messages that have two senders by their values, and until which Unix time each is taken to.
+    repeats : dict[str, int]
+        The same of messages that were sent before, value by value.
     """
 
     cdef readonly int boot
     cdef readonly nanoseconds newest_ns
     cdef readonly bint running
     cdef readonly nanoseconds contested_ns, rival_ns
-    cdef readonly dict splits
+    cdef readonly dict splits, repeats
     cdef bint _has_candidate, _has_doubtful
     # A stamp of another clock and its arrival, and how many of them came since when; whether near ones came after it,
     # also of the channel that the next one is of; when the last near one arrived.
@@ -245,7 +248,7 @@ cdef class VehicleClock:
 
     def __cinit__(self):
         self._run = 1
-        self.splits = {}
+        self.splits, self.repeats = {}, {}
 
     def near(self, stamp_ns):
         """Return whether a stamp is close enough to the newest one to need no second opinion."""
@@ -338,11 +341,11 @@ cdef class VehicleClock:
                 self._began, self.rival_ns = True, ahead
             self.contested_ns = received + _CONTEST
 
-    cdef void part(self, name, nanoseconds received):
-        """Learn that a message has two senders."""
-        if received >= self.splits.get(name, 0):
+    cdef void part(self, dict found, name, nanoseconds received):
+        """Learn that a message has two senders, or was sent before."""
+        if received >= found.get(name, 0):
             self._began = True
-        self.splits[name] = received + _CONTEST
+        found[name] = received + _CONTEST
 
     cdef bint _confirmed(self, nanoseconds stamp) noexcept:
         """Return whether the stamp before, which was far from the newest one too, is near this one."""
@@ -773,6 +776,7 @@ cdef class Stream:
     cdef object channel
     cdef list channels, lanes
     cdef Interleaved senders
+    cdef Repeats before
     cdef int width
     # When a stamp of it was believed last, Unix time.
     cdef nanoseconds agreed
@@ -798,6 +802,7 @@ cdef class Stream:
                 column.kind = _WRAPPING
         self.lanes = [lane]
         self.senders = Interleaved([channel.period or 0.0 for channel in self.channels])
+        self.before = Repeats() if len(group) >= SENSES else None
 
     cdef bint knows(self, nanoseconds stamp) noexcept:
         """Return whether all channels have a newest measurement of this time."""
@@ -944,6 +949,8 @@ cdef class SamplerCore:
         cdef bint clockless = stamp == _CLOCKLESS
         cdef Lane lane
         self._messages += 1
+        if stream.before is not None and stream.before.take(received, row):
+            clock.part(clock.repeats, stream.channel.message, received)
         if clockless and stream.channel.clock is None and clock.newest_ns > 0:
             stamp = clock.newest_ns
         if stamp < 0 or (stamp == 0 and zero_is_unset):
@@ -955,11 +962,11 @@ cdef class SamplerCore:
             for lane in stream.lanes:
                 self._duplicates += lane.width
             if not clockless and stream.senders.take(stamp, received, row):
-                clock.part(stream.channel.message, received)
+                clock.part(clock.splits, stream.channel.message, received)
         elif clockless or self.believe(stream, stamp, received, row):
             self.follow_clock()
             if not clockless and stream.senders.take(stamp, received, row):
-                clock.part(stream.channel.message, received)
+                clock.part(clock.splits, stream.channel.message, received)
             self.store(stream, stamp, row)
             self.give_out()
         return 0

@@ -1,0 +1,69 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""Rows of an IMU that were sent before, value by value: a recorded stretch that is sent again.
+
+No two rows of noisy sensors are alike in every value, and never are many in a row the same, in the same order, as many
+before. Rows are remembered by a hash of their values, and where a hash was first. Stamps say nothing: who sends a
+recording again may give them anew.
+"""
+
+from cpython.mem cimport PyMem_Calloc, PyMem_Free
+from libc.string cimport memcpy
+
+cdef enum:
+    # Rows that are remembered: five minutes at 100 Hz.
+    KEPT = 1 << 15
+
+# Rows one after the other that are no chance. Chosen: two of a sensor at rest that counts in coarse steps may be alike
+# once in ten.
+cdef int CERTAIN = 20
+# Least time since they came, ns: what comes twice over two radios comes within less (link_alarms.py).
+cdef long long APART = 10_000_000_000
+
+# The multiplier of MurmurHash3's last step, as its shifts of 33 bits.
+cdef unsigned long long MIX = 0xff51afd7ed558ccdULL
+
+
+cdef class Repeats:
+    """The hashes of a stream's last rows."""
+
+    def __cinit__(self):
+        self._hashes = <unsigned int*>PyMem_Calloc(2 * KEPT, sizeof(unsigned int))
+        self._received = <long long*>PyMem_Calloc(KEPT, sizeof(long long))
+        if self._hashes == NULL or self._received == NULL:
+            raise MemoryError
+        self._first = self._hashes + KEPT
+
+    def __dealloc__(self):
+        PyMem_Free(self._hashes)
+        PyMem_Free(self._received)
+
+    cdef bint take(self, long long received, const double* row) noexcept:
+        """Take a row; return whether it is one of many that came before."""
+        cdef unsigned long long bits, code = 0
+        cdef unsigned int found, slot
+        cdef int i
+        for i in range(SENSES):
+            memcpy(&bits, row + i, sizeof(bits))
+            code = (code ^ bits ^ (bits >> 33)) * MIX
+            code ^= code >> 33
+        # The last bit says that the row had not come before: one that comes often says nothing.
+        found = <unsigned int>code | 1
+        if self._count and self._hashes[(self._count - 1) % KEPT] | 1 == found:
+            # held, or of a sensor without noise
+            return False
+        slot = found // 2 % KEPT
+        if self._run and self._hashes[(self._place + 1) % KEPT] == found:
+            self._place, self._run = (self._place + 1) % KEPT, self._run + 1
+        else:
+            self._place = self._first[slot]
+            self._run = self._hashes[self._place] == found
+        if self._run and received - self._received[self._place] < APART:
+            self._run = 0
+        i = self._count % KEPT
+        self._received[i] = received
+        if self._hashes[self._first[slot]] == found:
+            self._hashes[i] = found - 1
+        else:
+            self._hashes[i], self._first[slot] = found, i
+        self._count += 1
+        return self._run >= CERTAIN
