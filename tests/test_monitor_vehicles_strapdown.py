@@ -21,7 +21,7 @@ from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimation.bank import washout_inverse
 from monitor.sampling.sampler import Sampler
 from monitor.vehicles.inertial.signals import strapdown_channels
-from monitor.vehicles.inertial.strapdown import GPS, LEARNED, LearnedBias, Strapdown
+from monitor.vehicles.inertial.strapdown import GPS, IMU, LEARNED, LearnedBias, Strapdown
 
 EXAMPLES: dict[str, dict[str, Any]] = {
     "ATTITUDE": {"roll": 0.0, "pitch": 0.0, "yaw": 0.0},
@@ -33,6 +33,8 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "GPS_RAW_INT": {"lat": 474000000, "lon": 85000000, "alt": 1000, "vel": 100, "cog": 9000},
     "SCALED_PRESSURE": {"press_abs": 950.0},
 }
+
+BARO = len(IMU + GPS)
 
 
 def washed(rate: np.ndarray, tau: float) -> np.ndarray:
@@ -119,6 +121,28 @@ def test_a_tick_that_was_not_measured_spoils_the_samples_it_is_part_of_and_no_la
     assert spoiled[0] == 25 or spoiled[0] == 24
     assert 1 <= len(spoiled) <= 5
     assert samples[-1].complete
+
+
+@pytest.mark.parametrize("jump", [0.0, 8.0])
+@pytest.mark.parametrize("late_s", [0.0, 0.2])
+def test_a_gap_while_the_vehicle_speeds_up_leaves_the_vertical_velocity_as_it_is_and_hides_no_jump(
+    jump: float, late_s: float
+) -> None:
+    raw, first, stop = truth.signals(8.0, gps_late_s=late_s), 200, 300
+    raw[first:, BARO] += jump
+    raw[first:stop] = np.linspace(raw[first - 1], raw[stop], stop - first)
+    transform = Strapdown({"gps_delay_s": late_s}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    samples = truth.fed(transform, raw, lost=frozenset(range(first, stop)))
+    period = 1.0 / truth.RATE_HZ
+    a = np.array([s.u[transform.inputs.index("acceleration_down")] for s in samples])
+    t = np.array([s.index for s in samples]) * period - late_s
+    gained = -1.4 * (np.cos(0.7 * t) - np.cos(0.7 * t[0]))
+    off = np.concatenate([[0.0], np.cumsum(a)[:-1]]) * period - gained
+    assert abs(off[t < 1.9]).max() < 0.05
+    assert abs(off[t > 4.0]).max() < 0.15
+    gps, baro = (np.array([s.y[transform.outputs.index(name)] for s in samples]) for name in ("gps_down", "baro_down"))
+    assert abs(baro - gps)[t < 1.9].max() < 0.1
+    assert abs(gps - baro - jump)[(t > 3.2) & (t < 3.4)].max() < 0.1 * jump + 0.2
 
 
 def test_a_restart_forgets_the_past() -> None:

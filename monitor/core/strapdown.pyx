@@ -34,8 +34,21 @@ cdef double _LONGEST_S = 1.5
 # off do. Measured on four healthy flights: after 1 to 2.5 s the way is 0.05 to 0.16 m off (root of the mean square).
 cdef double _UNSEEN_ACCELERATION = 0.3
 cdef double _UNSEEN_RATE = 0.02
-# Chosen: faster than vehicles of these kinds climb or sink, m/s.
-cdef double _FASTEST_CLIMB = 20.0
+# Random walk of the vertical velocity while its acceleration is measured and while it is not, m/s per root of a second.
+# The former is that of the navigation. Chosen: the latter is twice what it was at most on four healthy flights, over
+# 0.1 to 1 s (0.04 to 0.42), as others are flown more briskly.
+cdef double _WALK = 0.05
+cdef double _UNSEEN_WALK = 1.0
+# Noise of a height, m, and for how long an error of it lasts, s. Chosen: those of barometers in wind; of two heights
+# the one that says less counts, so a better one is not taken for worse than the other.
+cdef double _HEIGHT_NOISE = 0.1
+cdef double _HEIGHT_LASTS_S = 0.1
+# Standard deviation from which a vertical velocity is known again, m/s: the filter's own without a gap is 0.05.
+cdef double _SPEED_KNOWN = 0.075
+# Standard deviations that no height is off by which is alone. Within which two heights drift apart, s. Chosen: longer
+# than a gap, shorter than the washout of heights.
+cdef double _OUTLIER = 3.0
+cdef double _APART_S = 3.0
 # How long an attitude is no witness against the gyros after one of them was at fault, seconds. Chosen: estimators of
 # two autopilots took 10 to 20 s to learn that a bias had gone.
 cdef double _LEARNING_S = 30.0
@@ -81,6 +94,78 @@ cdef class _Delay:
         self._next = (self._next + 1) % (self._ticks + 1)
         self._count = min(self._count + 1, self._ticks + 1)
         return self._line + self._next * self._width if self._count > self._ticks else NULL
+
+
+cdef class _Vertical:
+    """How fast the vehicle sinks: a Kalman filter of height and its rate, whose covariance grows while nothing tells.
+
+    With acceleration a,  d+ = d + T (w + a T / 2),  w+ = w + T a,  heights d + their own offsets + noise.
+    """
+
+    cdef double _dt, depth, speed, _noise
+    # Variance of the height, covariance, variance of its rate.
+    cdef double[3] _P
+    cdef double[2] _offset
+    cdef bint[2] _lacked
+    cdef bint _begun
+    # Whether a gap left the speed unknown.
+    cdef bint unknown
+
+    def __init__(self, double dt):
+        self._dt, self._noise = dt, _HEIGHT_NOISE * _HEIGHT_NOISE
+        self.restart()
+
+    cdef void restart(self) noexcept:
+        self._begun = self.unknown = False
+        memset(self._lacked, 0, sizeof(self._lacked))
+        self.depth = self.speed = 0.0
+        self._P[0], self._P[1], self._P[2] = self._noise, 0.0, 1.0
+
+    cdef double predict(self, double acceleration, bint unseen) noexcept:
+        """Go on by a tick; return the change of height."""
+        cdef double T = self._dt, change = T * (self.speed + 0.5 * T * acceleration)
+        cdef double q = T * (_UNSEEN_WALK if unseen else _WALK) ** 2
+        self.depth += change
+        self.speed += T * acceleration
+        self._P[0] += T * (2.0 * self._P[1] + T * self._P[2])
+        self._P[1] += T * self._P[2] + 0.5 * T * q
+        self._P[2] += q
+        return change
+
+    cdef void meet(self, int count, const double* heights, const bint* lacks, double* correction) noexcept:
+        """Fill in by how much height and speed are off by those of ``count`` heights that do not lack.
+
+        Of two the one that is less off counts: the other may have jumped. So may one whose other lacks.
+        What comes back after a gap tells where the vehicle is then; else an error lasts for some ticks.
+        """
+        cdef double[2] off
+        cdef double S, p
+        cdef bint back = False
+        cdef int i, there = 0
+        correction[0] = correction[1] = 0.0
+        for i in range(count):
+            if not self._begun:
+                self._offset[i] = heights[i]
+            back |= self._lacked[i] and not lacks[i]
+            self._lacked[i] = lacks[i]
+            if not lacks[i]:
+                off[there] = heights[i] - self._offset[i] - self.depth
+                there += 1
+                if not self.unknown and count > 1:
+                    self._offset[i] += self._dt / _APART_S * off[there - 1]
+        self._begun = True
+        S = self._P[0] + self._noise * (1.0 if back else max(1.0, _HEIGHT_LASTS_S / self._dt))
+        if there == 2 and fabs(off[1]) < fabs(off[0]):
+            off[0] = off[1]
+        if there == 0 or there < count and fabs(off[0]) > _OUTLIER * sqrt(S):
+            return
+        correction[0] = off[0] if back and self.unknown else self._P[0] / S * off[0]
+        correction[1] = self._P[1] / S * off[0]
+        p = self._P[1]
+        self._P[2] -= p * p / S
+        self._P[1] -= p * self._P[0] / S
+        self._P[0] -= self._P[0] * self._P[0] / S
+        self.unknown &= self._P[2] > _SPEED_KNOWN * _SPEED_KNOWN
 
 
 cdef class StrapdownCore:
@@ -133,6 +218,7 @@ cdef class StrapdownCore:
     cdef double _dt
     cdef _Delay _motion, _fixes, _altitudes, _levels, _sensed
     cdef Navigation _navigation
+    cdef _Vertical _vertical
     cdef readonly object scores, spreads
     cdef int _washed
     cdef double _biased_s, _attitude_share
@@ -234,6 +320,7 @@ cdef class StrapdownCore:
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
         self._levels = _Delay.__new__(_Delay, compass_ticks, 7)
         self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 19)
+        self._vertical = _Vertical(dt)
         self._attitude_share, self._angle_s = attitude_share, angles_s
         self._learned = learned
         self._washed = len(washouts) - (2 if navigation is not None else 0)
@@ -257,6 +344,7 @@ cdef class StrapdownCore:
             delay.clear()
         if self._navigation is not None:
             self._navigation.restart()
+        self._vertical.restart()
         self._biased_s = 0.0
         self._turning = self._placed = self._has_before = self._begun = False
         self._fresh = True
@@ -651,12 +739,12 @@ cdef class StrapdownCore:
 
         What follows makes no difference between u and y, as a step of an observer without that measurement would. The
         gyro's rates follow the attitude already; accelerations follow the GPS. Of the other groups the outputs follow
-        the inputs, or heights each other, and go on from there unless they come back far from it.
+        the inputs, and go on from there unless they come back far from it.
         """
         cdef bint[_GROUPS] now
         cdef bint[_GROUPS] lacks
         cdef bint moves = self._gps and self._speeds
-        cdef int speed = 2 * moves, velocity = 2, down = self._stop[_GPS] - 1, height = self._first[_BARO], group, i
+        cdef int speed = 2 * moves, velocity = 2, group, i
         cdef double change
         now[_IMU], now[_GPS], now[_BARO], now[_MAG] = imu, gps, baro, mag
         for group in range(_GROUPS):
@@ -672,9 +760,8 @@ cdef class StrapdownCore:
             self._lacking[group] = self._lacking[group] + 1 if lacks[group] else 0
         for i in range(self._outputs):
             y[i] = y[i] + self._added[i]
-        if lacks[_IMU] and (self._gps or self._baro):
-            # The mean of an acceleration that is not known is nearer to zero than to two noisy ones at its ends.
-            meant[speed + 2 * self._gps] = 0.0
+        if self._gps or self._baro:
+            self.sink(lacks, y, &meant[speed + 2 * self._gps])
         if lacks[_IMU] and lacks[_GPS]:
             self._blind = True
         if lacks[_IMU] and moves and not lacks[_GPS]:
@@ -695,10 +782,6 @@ cdef class StrapdownCore:
             if moves:
                 for i in range(2):
                     self.follow(y, i, meant[i] * self._dt)
-            if self._baro and not lacks[_BARO]:
-                self.follow(y, down, self.climb(y[height] - self._place[height]))
-        if lacks[_BARO] and self._gps and not lacks[_GPS] and not lacks[_IMU]:
-            self.follow(y, height, self.climb(y[down] - self._place[down]))
         if lacks[_MAG]:
             self.follow(y, self._first[_MAG], meant[self._inputs - 1] * self._dt)
         memcpy(self._place, y, sizeof(self._place))
@@ -714,6 +797,10 @@ cdef class StrapdownCore:
             self._unknown[group] = False
             return
         for i in range(self._first[group], self._stop[group]):
+            if self._vertical.unknown and (group == _BARO or group == _GPS and i == self._stop[_GPS] - 1):
+                # what it tells by its jump :meth:`sink` finds
+                self._added[i] = self._anchor[i]
+                continue
             jump = self._anchor[i] - self._added[i]
             least = 0.5 * _UNSEEN_ACCELERATION * lacked_s * lacked_s
             if moves and i < 2 and blind:
@@ -732,9 +819,46 @@ cdef class StrapdownCore:
             if fabs(jump) > least:
                 self._added[i] = self._anchor[i]
 
-    cdef inline double climb(self, double change) noexcept:
-        """Return a change of height since the tick before, no jump of the sensor that tells it."""
-        return min(max(change, -_FASTEST_CLIMB * self._dt), _FASTEST_CLIMB * self._dt)
+    cdef void sink(self, const bint* lacks, double* y, double* acceleration) noexcept:
+        """Let heights that lack follow how the vehicle sinks, and that follow them where a gap left it unknown.
+
+        A gap takes the certainty of the velocity, not of the accelerometer: what heights then say of the velocity goes
+        into the acceleration at once, and what they are off by is left out of them, until it is known as before.
+        """
+        cdef _Vertical vertical = self._vertical
+        cdef int[2] output
+        cdef bint[2] lacking
+        cdef double[2] heights
+        cdef double[2] correction
+        cdef double change
+        cdef int count = 0, i
+        if self._gps:
+            output[0], lacking[0] = self._stop[_GPS] - 1, lacks[_GPS]
+            count = 1
+        if self._baro:
+            output[count], lacking[count] = self._first[_BARO], lacks[_BARO]
+            count += 1
+        if lacks[_IMU]:
+            # The mean of an acceleration that is not known is nearer to zero than to two noisy ones at its ends.
+            acceleration[0] = 0.0
+        vertical.unknown |= lacks[_IMU] or lacking[0] and lacking[count - 1]
+        change = vertical.predict(acceleration[0], lacks[_IMU])
+        for i in range(count):
+            heights[i] = y[output[i]]
+        vertical.meet(count, heights, lacking, correction)
+        vertical.speed += correction[1]
+        if vertical.unknown:
+            acceleration[0] += correction[1] / self._dt
+        else:
+            vertical.depth += correction[0]
+            change += correction[0]
+        for i in range(count):
+            if lacking[i]:
+                self.follow(y, output[i], change)
+                self._anchor[output[i]] -= correction[0] if vertical.unknown else 0.0
+            elif vertical.unknown:
+                self._added[output[i]] -= correction[0]
+                y[output[i]] -= correction[0]
 
     cdef inline void follow(self, double* y, int i, double change) noexcept:
         """Let an output change since the tick before by so much."""
