@@ -3,25 +3,35 @@
 All of them are pure: they take the packets of one vehicle in order of time, a generator of random numbers where they
 need one, and return others. :func:`send` lets a process of its own send what several vehicles suffer at once.
 
-Where each kind of attack and trouble is tested, over real sockets unless the name says a part of the monitor:
+All that was done to a monitor, and where it is tested: a file, and the word that ``pytest -k`` finds its tests by. The
+first ten are those that made it blind, fall silent or grow without bound while it said that it was well.
 
-| what | tested in |
-|---|---|
-| forged reports, stamps, values, time, another vehicle, two at once | test_chaos_attacks |
-| the same at other rates and times, from the first message on | test_monitor_impostor, test_monitor_interleaved |
-| bursts of loss, duplicates, reordering, silence | test_chaos_attacks, test_chaos_network, test_gaps |
-| damaged bytes, poisoned values, signatures, clocks, reboots | test_chaos_hostile, test_chaos |
-| packets of a signed link sent into another | test_adapters_mavlink_link, test_adapters_signing |
-| a peer that hangs, is killed or comes back; tokens and events of somebody without the key | test_standby |
-| a disk that hangs, is full, or is cut; kill -9; numbers of events | test_monitor_background, test_chaos_crash |
-| a busy host, a flood of another vehicle, of vehicle ids, of Zenoh peers that say nothing | test_chaos_surroundings |
-| JSON objects of megabytes, subscribers that stall, a Zenoh router that goes and comes | test_chaos_zenoh |
-| a clock that is set an hour back or forth, or leaps | test_monitor_vehicle_service, test_monitor_sampling_clock |
-| telemetry that stops reaching an observer | test_monitor_blind |
-| a process whose main loop stands still | test_monitor_watchdog |
-| alarms that a flood would hold back | test_monitor_desk |
-| requests for the past without end, a log that a reader holds | test_monitor_publisher, test_monitor_journal |
-| recordings that a crash leaves | test_adapters_mcap_recovery |
+| what is done | tested in | -k |
+|---|---|---|
+| forged reports, stamps and values; a second vehicle of the same id | test_chaos_attacks | told_of_within |
+| bursts of loss | test_chaos_attacks | beside_the_attack |
+| the active of two peers hangs, wholly or by its main thread, and comes back | test_standby | hangs |
+| a disk that hangs | test_monitor_background | disk_that_hangs |
+| tokens and events of somebody without the key | test_standby | without_the_key |
+| packets of a signed link in another; a key without `require` | test_adapters_mavlink_link | a_replay_on, lets_in |
+| the clock set an hour back or forth; a leap second | test_monitor_vehicle_service | an_hour |
+| a flood of another vehicle, 64 ids at once, a busy host, SIGSTOP for 5 s | test_chaos_surroundings | breaks_around |
+| JSON objects of megabytes; subscribers that stall | test_chaos_zenoh | huge_payloads |
+| a full disk and kill -9, again and again | test_chaos_crash | killed, full_disk |
+| the same forgeries at other rates and times, into two autopilots | test_monitor_impostor | hides, hide |
+| forged values among true ones, from the first message on | test_monitor_interleaved | two_senders |
+| damaged bytes, poisoned values, forged signatures, clocks, reboots | test_chaos_hostile | failing_motor |
+| loss, duplicates, reordering, silence | test_chaos_network | failing_motor |
+| each of these to each kind of fault | test_chaos | every_fault |
+| gaps in which the vehicle speeds up | test_monitor_vehicles_strapdown | a_gap_while |
+| telemetry that stops reaching an observer | test_monitor_blind | gps |
+| a process whose main loop stands still | test_monitor_watchdog | stands_still |
+| what waits for longer than a second, or is too large | test_monitor_inbox | waited, bounded |
+| alarms that a flood would hold back | test_monitor_desk | flood |
+| requests for the past without end | test_monitor_publisher | takes_long |
+| a program that holds the journal's log | test_monitor_journal | holds |
+| recordings that a crash leaves | test_adapters_mcap_recovery | cut_off |
+| a Zenoh router that goes and comes | test_chaos_zenoh | router |
 """
 
 from __future__ import annotations
