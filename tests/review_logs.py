@@ -42,6 +42,7 @@ class Flight:
     connected: bool = True
     fix: Callable[[float], int] = lambda _: 3
     gps_used: bool = True
+    north_m: Callable[[float], float] = lambda _: 0.0
     ratio: Callable[[float], float] = lambda _: 0.1
     resets: Callable[[float], int] = lambda _: 1
     vibration: Callable[[float], float] = lambda _: 2.0
@@ -69,7 +70,7 @@ _TOPICS = {
     "uint8_t vxy_reset_counter;uint8_t vz_reset_counter",
     "vehicle_local_position_setpoint": "uint64_t timestamp;float vz",
     "battery_status": "uint64_t timestamp;float voltage_v;float current_a;bool connected",
-    "vehicle_gps_position": "uint64_t timestamp;uint8_t fix_type;uint8_t satellites_used",
+    "vehicle_gps_position": "uint64_t timestamp;int32_t lat;int32_t lon;uint8_t fix_type;uint8_t satellites_used",
     "estimator_status_flags": "uint64_t timestamp;bool cs_gps",
     "estimator_status": "uint64_t timestamp;float vel_test_ratio;float pos_test_ratio;float hgt_test_ratio",
     "vehicle_command": "uint64_t timestamp;float param1;uint32_t command;uint8_t source_system;"
@@ -129,7 +130,12 @@ def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
         },
         "vehicle_local_position_setpoint": {"vz": -flight.climb_wanted(at)},
         "battery_status": {"voltage_v": flight.volts(at), "current_a": 12.0, "connected": flight.connected},
-        "vehicle_gps_position": {"fix_type": flight.fix(at), "satellites_used": 4 * flight.fix(at)},
+        "vehicle_gps_position": {
+            "lat": 470_000_000 + round(flight.north_m(at) * 90.0),
+            "lon": 80_000_000,
+            "fix_type": flight.fix(at),
+            "satellites_used": 4 * flight.fix(at),
+        },
         "estimator_status_flags": {"cs_gps": flight.gps_used},
         "estimator_status": {"vel_test_ratio": 0.1, "pos_test_ratio": flight.ratio(at), "hgt_test_ratio": 0.1},
         "vehicle_imu_status": {

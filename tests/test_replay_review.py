@@ -84,6 +84,7 @@ CASES: dict[str, Flight] = {
     "motor_at_limit": Flight(motors=one_motor(3, 1.0, 30.0, 32.0)),
     "esc_stopped": Flight(rpm=speeds(4)),
     "battery_low": Flight(volts=lambda at: 15.4 - 0.07 * at),
+    "gps_stuck": Flight(north_m=lambda at: 2.0 * (30.0 if 30.0 <= at < 33.0 else at)),
     "gps_lost": Flight(fix=lambda at: 0 if 30.0 <= at < 35.0 else 3),
     "innovations_refused": Flight(ratio=between(30.0, 33.0, 1.8, 0.1)),
     "estimator_reset": Flight(resets=lambda at: 1 + (at > 30.0)),
@@ -116,6 +117,9 @@ LOOK_ALIKES: dict[str, Flight] = {
     "the ground station's own commands": Flight(commands=[(1.0, 190, 400, 1.0), (30.0, 190, 176, 1.0)]),
     "a request from elsewhere": Flight(commands=[(1.0, 190, 400, 1.0), (30.0, 77, 512, 1.0)]),
     "a disarming on the ground": Flight(commands=[(1.0, 190, 400, 1.0), (56.0, 77, 400, 0.0)]),
+    "a receiver that holds its position while a vehicle hovers": Flight(
+        north_m=lambda at: 2.0 * min(at, 30.0) + 2.0 * max(at - 40.0, 0.0)
+    ),
     "one innovation": Flight(ratio=between(30.0, 30.2, 3.0, 0.1)),
     "a reset at take-off": Flight(resets=lambda at: 1 + (at > 4.0)),
     "a hard landing": Flight(vibration=between(LANDING_S - 0.5, LANDING_S + 1.0, 30.0, 2.0)),
