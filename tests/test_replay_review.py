@@ -475,6 +475,9 @@ def test_the_command_says_it_in_words_in_json_and_on_a_page(tmp_path: Path, caps
     # what shows the finding, then the flight as a whole
     assert text.count("data-chart=") >= 4
     assert "height (vehicle_air_data)" in text
+    # a finding's charts show what was about it, those of the flight all of it, whichever was drawn first
+    assert '"window":[9.9,44.9]' in text
+    assert '"window":[0.0,59.9]' in text
     assert "default-src 'none'" in text
     assert fauio.main(["review", "--quick", good, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)

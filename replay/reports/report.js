@@ -52,11 +52,14 @@
     ctx.restore();
   }
 
-  // The same stretch of time in all charts.
+  // The same stretch of time in all charts of one window; a page without windows has one.
   function follow(plot, key) {
     if (key !== "x" || following) return;
     following = true;
-    for (const other of plots) if (other !== plot) other.setScale("x", { min: plot.scales.x.min, max: plot.scales.x.max });
+    for (const other of plots) {
+      if (other === plot || other.cursor.sync.key !== plot.cursor.sync.key) continue;
+      other.setScale("x", { min: plot.scales.x.min, max: plot.scales.x.max });
+    }
     following = false;
   }
 
@@ -79,7 +82,7 @@
       bands: low < 0 ? [] : [{ series: [high + 1, low + 1], fill: () => colour("--series0") + UNCERTAIN }],
       scales: { x: { time: false }, y: { range: content.limits ?? undefined } },
       axes: [{ ...axis, label: content.since, size: 34, labelSize: 18 }, { ...axis, size: 62, label: content.unit, labelSize: 18 }],
-      cursor: { sync: { key: "run" }, drag: { x: true, y: false } },
+      cursor: { sync: { key: `run ${content.window ?? ""}` }, drag: { x: true, y: false } },
       hooks: {
         drawClear: [(plot) => background(plot, content)],
         draw: [(plot) => foreground(plot, content)],
@@ -93,6 +96,7 @@
     const data = [content.x, ...content.series.map((one) => one.y)];
     const plot = new uPlot(options(content, place.clientWidth || 640), data, place);
     plots.push(plot);
+    if (content.window) plot.setScale("x", { min: content.window[0], max: content.window[1] });
     new ResizeObserver(() => {
       if (place.clientWidth && place.clientWidth !== plot.width) plot.setSize({ width: place.clientWidth, height: 240 });
     }).observe(place);

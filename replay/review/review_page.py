@@ -12,6 +12,9 @@ from replay.review.review import LogReview
 _BEFORE_S, _AFTER_S = 20.0, 15.0
 """Seconds drawn about a finding. Chosen: what led to it is longer than what came of it."""
 
+_FIRST_DRONE_NS = 10**18
+"""September 2001: an earlier date counts from a boot without a clock."""
+
 _OVERVIEW = ("height", "motors", "attitude", "battery")
 """Signals that show a whole flight at a glance."""
 
@@ -22,13 +25,14 @@ def review_page(review: LogReview) -> str:
     mark = first.judgement.weight if first is not None else "" if review.facts.flight else "unknown"
     said = review.facts
     kind = " ".join(word for word in (said.autopilot, said.vehicle) if word)
+    begun = utc(said.start_ns) if said.start_ns > _FIRST_DRONE_NS else "date not recorded"
     return page(
         f"{review.log.name}: review",
         element("h1", f"{review.log.name}: what happened"),
         element("div", review.sentence, class_=f"verdict {mark}".strip()),
         element(
             "p",
-            f"{utc(said.start_ns)} · {said.duration_s:.0f} s, {said.flight_s:.0f} s of flight · {kind}",
+            f"{begun} · {said.duration_s:.0f} s, {said.flight_s:.0f} s of flight · {kind}",
             class_="note",
         ),
         section("Findings", *_findings(review, charts)),
@@ -43,7 +47,8 @@ def review_page(review: LogReview) -> str:
 
 def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
     if not review.findings:
-        yield element("p", "Nothing: what is listed below was looked for and is not there.")
+        why = "what is listed below was looked for and is not there" if review.facts.flight else "no flight was judged"
+        yield element("p", f"Nothing: {why}.")
     for finding in review.findings:
         said = finding.judgement
         yield element(
@@ -59,7 +64,7 @@ def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
                     ("how sure", said.confidence),
                     ("where", finding.rule.stage),
                     *(("evidence", line) for line in said.evidence),
-                    *(("against other causes", line) for line in finding.counter),
+                    *(("what else looks so", line) for line in finding.counter),
                     ("physics", finding.rule.physics),
                 ]
             ),
@@ -98,5 +103,6 @@ def _signals(
         title = f"{name.replace('_', ' ')} ({part.origin})"
         chart = signal_chart(title, part.time_s, part.values, part.names, part.unit)
         chart.content["marks"] = [] if at_s is None else [[round(at_s, 3), ""]]
+        chart.content["window"] = [round(start_s, 3), round(end_s, 3)]
         drawn.append(charts.add(chart))
     return joined_html(drawn)

@@ -16,12 +16,16 @@ def review_lines(review: LogReview) -> Iterator[str]:
     kind = " ".join(word for word in (facts.autopilot, facts.vehicle) if word) or "unknown vehicle"
     yield f"{review.log.name}: {kind}, {facts.duration_s:.0f} s, {facts.flight_s:.0f} s of flight"
     yield f"  {review.sentence}"
+    explained: set[str] = set()
     for finding in review.findings:
         mark = finding.rank or finding.judgement.weight
         yield f"  [{mark}] {finding.judgement.start_s:.1f} s, {finding.rule.title} ({finding.judgement.confidence})"
         yield f"      {finding.judgement.text}"
         yield from (f"      evidence: {line}" for line in finding.judgement.evidence)
-        yield from (f"      against: {line}" for line in finding.counter)
+        # what holds of all findings of a rule is said once
+        counter = finding.judgement.counter if finding.rule.name in explained else finding.counter
+        explained.add(finding.rule.name)
+        yield from (f"      looks alike: {line}" for line in counter)
     entries = review.timeline()
     if entries:
         yield "  time line:"

@@ -25,7 +25,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 end_s=command.time_s,
                 text=said.text,
                 evidence=(
-                    f"{command.name} at {command.time_s:.2f} s with {', '.join(map(str, command.values)) or 'nothing'}",
+                    f"{'MAV_CMD ' * command.name.isdigit()}{command.name} at {command.time_s:.2f} s with "
+                    f"{', '.join(map(str, command.values)) or 'nothing'}",
                 ),
                 counter=(f"commands before take-off came from {known or 'nobody'}",),
                 confidence="likely" if known else "possible",
