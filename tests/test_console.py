@@ -292,6 +292,8 @@ def test_it_fits_the_screen_and_texts_are_legible(
         browser.get(url + page)
         shows(browser, "#main", words)
         assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+        # what is for screen readers alone takes no room, however long it is
+        assert browser.execute_script("return document.getElementById('alert').offsetWidth") == 1
         assert browser.execute_script(_PALE) == []
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
