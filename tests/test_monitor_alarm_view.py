@@ -139,7 +139,7 @@ def test_a_small_terminal_shows_the_worst_and_counts_the_rest(endpoint: Endpoint
     publisher = Publisher(endpoint.session, "copter-1", [])
     for k in range(30):
         publisher.event(event(k + 1, f"motor{k}", severity="critical" if k == 7 else "warning"))
-    picture = screen.until("30 active[\\s\\S]*and 24 more")
+    picture = screen.until("30 active[\\s\\S]*and 25 more")
     assert re.search(r"critical +copter-1 +motors/motor7", picture)
     assert all(len(line) <= 80 for line in picture.splitlines())
     screen.close()
@@ -157,6 +157,8 @@ def test_what_and_in_which_state_is_never_cut_while_there_is_room_for_it(width: 
     assert all(part in drawn for part in ("copter-1", "inertial/gps_north", "-5 %", "raised"))
     assert ("severity" in drawn) == (width >= 62)
     assert ("message" in drawn) == (width >= 110)
+    # of the first one below the table, where its column has no room
+    assert ("inertial/gps_north: motor1 delivers less" in drawn) == (width < 110)
 
 
 def test_a_vehicle_that_is_not_watched_stands_above_the_alarms(endpoint: Endpoint, screen: Screen) -> None:

@@ -29,8 +29,8 @@ REFRESH_S = 0.25
 _COLOURS = {"warning": "yellow", "critical": "red"}
 _VERBS = {"a": "ack", "s": "shelve", "u": "unshelve", "r": "reset"}
 _HELP = "arrows: choose   a ack   s shelve   u unshelve   r reset   Ctrl-C ends"
-_AROUND_ROWS = 6
-"""Lines of the screen that are not rows of alarms: heading, rules, the latest answer and the keys."""
+_AROUND_ROWS = 7
+"""Lines of the screen that are not rows of alarms: heading, rules, a message, the latest answer and the keys."""
 _LEAST_ROWS = 3
 """Shown even where a terminal is lower than that."""
 _MOST_WARNINGS = 3
@@ -154,6 +154,9 @@ def draw(
     gone = sorted({row.vehicle for row in rows} - subscriber.live)
     header = _header(active, gone, subscriber, endpoints, {status.vehicle: status.messages_per_s for status in there})
     lines = [header, *warnings, table if rows else Text("no alarm is active", style="dim")]
+    if shown and _LAST not in columns:  # no room beside them: below, of one
+        told = next((row for row in shown if row.key == chosen), shown[0])
+        lines.append(Text(f"{told.channel}: {told.message}", style=_style(told), overflow="ellipsis", no_wrap=True))
     if len(rows) > len(shown):
         lines.append(Text(f"and {len(rows) - len(shown)} more", style="dim"))
     if said:
