@@ -50,6 +50,7 @@ def test_each_log_is_read_once_and_again_where_it_changed(profile_folder: Path, 
     flights = {flight.log: flight for flight in watch.look()}
     assert set(flights) == {"monday/a.mcap", "b.mcap"}
     assert flights["monday/a.mcap"].alarms == 0
+    assert flights["monday/a.mcap"].verdict.startswith("no alarm in ")
     assert flights["b.mcap"].alarms > 0
     assert flights["b.mcap"].severity in ("warning", "critical")
     assert " from 01:4" in flights["b.mcap"].verdict

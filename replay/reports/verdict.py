@@ -41,14 +41,14 @@ def run_sentence(results: Sequence[Finding], facts: LogFacts | None) -> str:
 
 
 def alarm_summary(finding: Finding) -> str:
-    """Return a line about one alarm: from when to when, where, how grave, what, the size's doubt and its peak."""
+    """Return a line about one alarm: from when to when, where, how grave, what, two standard deviations and the peak."""
     alarm, event = finding.alarm, finding.largest
     end = "to the end" if alarm.end_ns is None else f"to {utc(alarm.end_ns)[11:19]}"
     share = finding.relative / finding.size if finding.relative is not None and finding.size else None
     peak = max((event.peak for event in alarm.history if event.peak is not None), key=abs, default=None)
     doubt = []
     if finding.size is not None and finding.deviation is not None:
-        doubt.append(f"± {doubt_text(finding.deviation, event.unit, share)}")
+        doubt.append(f"± {doubt_text(2.0 * finding.deviation, event.unit, share)}")
     if peak is not None:
         doubt.append(f"peak {fault_text(alarm.channel, peak, None if share is None else peak * share, event.unit)}")
     channel = f"{alarm.observer}/{alarm.channel}"

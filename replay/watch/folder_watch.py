@@ -102,7 +102,7 @@ class FolderWatch:
             "watched_s": round(outcome.watched_s, 1),
             "alarms": len(outcome.raised),
             "severity": next((severity for severity in ("critical", "warning") if severity in severities), ""),
-            "verdict": outcome.sentence or outcome.verdict,
+            "verdict": outcome.sentence or outcome.verdict.removeprefix(f"{path.name}: "),
             "error": outcome.error or "",
         }
 
@@ -136,7 +136,7 @@ def index_page(title: str, flights: list[WatchedLog]) -> str:
             f"{flight.duration_s / 60:.1f} min",
             f"{flight.watched_s / 60:.1f} min",
             element("strong", flight.alarms, class_=flight.severity) if flight.alarms else "",
-            flight.error or flight.verdict,
+            flight.error.removeprefix(f"{flight.log}: ") or flight.verdict,
         )
         for flight in flights
     ]
