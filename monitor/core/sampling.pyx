@@ -55,9 +55,9 @@ from adapters.sample import Samples
 from cpython.buffer cimport PyBUF_SIMPLE, PyBUF_STRIDES, PyBUF_WRITABLE
 from cpython.buffer cimport PyBuffer_Release, PyObject_GetBuffer
 from cpython.mem cimport PyMem_Free, PyMem_Malloc, PyMem_Realloc
-from libc.math cimport fmod, isfinite, rint
+from libc.math cimport NAN, fmod, isfinite, rint
 from libc.stdlib cimport qsort
-from libc.string cimport memcpy, memmove
+from libc.string cimport memcpy, memmove, memset
 
 from monitor.core.interleaved cimport Interleaved
 from monitor.core.repeats cimport SENSES, Repeats
@@ -489,6 +489,37 @@ cdef struct Column:
     double period
 
 
+cdef enum Number:
+    _NO_NUMBER
+    _SIGNED
+    _UNSIGNED
+    _FLOATING
+
+
+# By kind of number in NumPy.
+_NUMBERS = {"i": _SIGNED, "u": _UNSIGNED, "f": _FLOATING}
+
+
+cdef struct Field:
+    # Where a record has a number; _NO_NUMBER: nowhere.
+    Py_ssize_t offset, size
+    Number number
+
+
+cdef struct Scaling:
+    # What makes a number a channel's value.
+    double scale, offset, stopped_as, largest
+    bint stops
+
+
+cdef struct View:
+    Py_buffer buffer
+    const char* start
+    Py_ssize_t stride
+    Py_ssize_t size
+    Number number
+
+
 cdef class Lane:
     """Measurements of channels that came together: one stamp and one row of values each, in order of time.
 
@@ -778,6 +809,13 @@ cdef class Stream:
     cdef Interleaved senders
     cdef Repeats before
     cdef int width
+    cdef Scaling* scalings
+    # Paths of the fields read: one for each channel, then those that select messages with what they have to be, then
+    # clocks with their units.
+    cdef list paths, equal, least, units
+    # Where records of these places have them.
+    cdef object places
+    cdef Field* found
     # When a stamp of it was believed last, Unix time.
     cdef nanoseconds agreed
 
@@ -803,6 +841,45 @@ cdef class Stream:
         self.lanes = [lane]
         self.senders = Interleaved([channel.period or 0.0 for channel in self.channels])
         self.before = Repeats() if len(group) >= SENSES else None
+        channel = self.channel
+        self.equal = [value for _, value in channel.where]
+        self.least = [least for _, least in channel.at_least]
+        clocks = dict(_clocks(channel))
+        self.units = list(clocks.values())
+        self.paths = [channel.path for channel in self.channels]
+        self.paths += [*((name,) for name, _ in (*channel.where, *channel.at_least)), *clocks]
+        self.scalings = <Scaling*>_resized(NULL, self.width * sizeof(Scaling))
+        self.found = <Field*>_resized(NULL, len(self.paths) * sizeof(Field))
+        for i, channel in enumerate(self.channels):
+            stops = channel.stopped_as is not None
+            self.scalings[i] = Scaling(
+                channel.scale, channel.offset, channel.stopped_as if stops else 0.0, channel.largest, stops)
+
+    def __dealloc__(self):
+        PyMem_Free(self.scalings)
+        PyMem_Free(self.found)
+
+    cdef int find(self, places) except -1:
+        """Learn where records of these places have the fields."""
+        cdef Py_ssize_t i
+        if places is not self.places:
+            for i in range(len(self.paths)):
+                self.found[i] = _field(places, self.paths[i])
+            self.places = places
+        return 0
+
+    cdef bint open(self, Py_ssize_t which, fields, const Py_buffer* record, View* view, Py_ssize_t count) except -1:
+        """Open the numbers at a path, one of each message, for reading; return whether there are any to be released.
+
+        They lie in ``record``, whose places were found; NULL: in columns of their own.
+        """
+        if record == NULL:
+            return _open_column(_leaf(fields, self.paths[which]), view, count)
+        memset(&view.buffer, 0, sizeof(Py_buffer))
+        view.start = <const char*>record.buf + self.found[which].offset
+        view.stride, view.size = record.strides[0], self.found[which].size
+        view.number = self.found[which].number
+        return view.number != _NO_NUMBER
 
     cdef bint knows(self, nanoseconds stamp) noexcept:
         """Return whether all channels have a newest measurement of this time."""
@@ -1469,6 +1546,28 @@ cdef class _Feed:
         PyMem_Free(self.stamps)
         PyMem_Free(self.values)
 
+    cdef int read(self, fields, const Py_buffer* record, Py_ssize_t count) except -1:
+        """Read n messages of columns, whose numbers are opened by :meth:`Stream.open`."""
+        cdef Stream stream = self.stream
+        cdef Py_ssize_t which, at = stream.width
+        cdef View view
+        cdef bint there
+        for which in range(stream.width):
+            there = stream.open(which, fields, record, &view, count)
+            _read_values(&view if there else NULL, stream.scalings + which, self.values + which, stream.width, count)
+        for value in stream.equal:
+            _select(stream.open(at, fields, record, &view, count), &view, fields, stream.paths[at], value, self.chosen,
+                    count)
+            at += 1
+        for least in stream.least:
+            _reach(stream.open(at, fields, record, &view, count), &view, least, self.chosen, count)
+            at += 1
+        for unit_ns in stream.units:
+            if stream.open(at, fields, record, &view, count):
+                _read_clock(&view, unit_ns, self.stamps, count)
+            at += 1
+        return 0
+
 
 cdef class _Messages:
     """The messages of one name and sender in a batch, and the feeds of the streams that take them."""
@@ -1540,23 +1639,25 @@ cdef _Messages _of_columns(columns, list feeds):
     cdef Py_ssize_t count = len(columns.position), row
     cdef _Messages group = _Messages.__new__(_Messages, count, columns.source.zero_stamp_is_unset)
     cdef _Feed feed
-    cdef Stream stream
-    cdef int i
+    cdef Py_buffer record
     fields = columns.fields
     _read_times(columns.position, group.position, count)
     _read_times(columns.received_ns, group.received, count)
     for row in range(count):
         group.received[row] = max(-_MAX_STAMP, min(group.received[row], _MAX_STAMP))
     group.feeds = [_Feed.__new__(_Feed, sampler, stream, count) for sampler, stream in feeds]
-    for feed in group.feeds:
-        stream = feed.stream
-        for name, value in stream.channel.where:
-            _select(fields, name, value, feed.chosen, count)
-        for name, least in stream.channel.at_least:
-            _reach(fields, name, least, feed.chosen, count)
-        _read_stamps(stream.channel, fields, feed.stamps, count)
-        for i, channel in enumerate(stream.channels):
-            _read_values(fields, channel, feed.values + i, stream.width, count)
+    if not isinstance(fields, RecordFields):
+        for feed in group.feeds:
+            feed.read(fields, NULL, count)
+        return group
+    PyObject_GetBuffer(fields.record, &record, PyBUF_STRIDES)
+    try:
+        places = fields.places
+        for feed in group.feeds:
+            feed.stream.find(places)
+            feed.read(fields, &record, count)
+    finally:
+        PyBuffer_Release(&record)
     return group
 
 
@@ -1571,45 +1672,24 @@ cdef object _leaf(fields, path):
     return column[:, step] if isinstance(step, int) and step < column.shape[1] else None
 
 
-cdef enum Number:
-    _NO_NUMBER
-    _SIGNED
-    _UNSIGNED
-    _FLOATING
+cdef Field _field(places, path) except *:
+    """Return where a record of these places has the number at a path."""
+    cdef Field field = Field(0, 0, _NO_NUMBER)
+    place = places.get(path[0])
+    if place is None or (len(path) > 1) != (place.length > 0) or len(path) > 2:
+        return field
+    step = path[1] if place.length else 0
+    if isinstance(step, int) and (step < place.length or not place.length):
+        field.offset, field.size, field.number = place.offset + step * place.size, place.size, _NUMBERS[place.kind]
+    return field
 
 
-# By kind of number in NumPy.
-_NUMBERS = {"i": _SIGNED, "u": _UNSIGNED, "f": _FLOATING}
-
-
-cdef struct View:
-    Py_buffer buffer
-    const char* start
-    Py_ssize_t stride
-    Py_ssize_t size
-    Number number
-
-
-cdef bint _open(fields, path, View* view, Py_ssize_t count) except -1:
-    """Open a field's numbers, one of each message, for reading; return whether there are any to be released."""
-    if not isinstance(fields, RecordFields):
-        return _open_column(_leaf(fields, path), view, count)
-    place = fields.places.get(path[0])
-    if place is None:
-        return False
-    cdef Py_ssize_t offset = place.offset, step = 0
-    if (len(path) > 1) != (place.length > 0) or len(path) > 2:
-        return False
-    if place.length:
-        if not isinstance(path[1], int) or path[1] >= place.length:
-            return False
-        step = path[1]
-    PyObject_GetBuffer(fields.record, &view.buffer, PyBUF_STRIDES)
-    view.start = <const char*>view.buffer.buf + offset + step * <Py_ssize_t>place.size
-    view.stride = view.buffer.strides[0]
-    view.size = place.size
-    view.number = _NUMBERS[place.kind]
-    return True
+cdef list _clocks(channel):
+    """Return paths and units of the clock fields that a channel's message may have: its own, or the usual ones."""
+    if channel.clock is None:
+        return [((name,), channel.clock_unit_ns or unit_ns) for name, unit_ns in CLOCK_UNITS_NS.items()]
+    unit_ns = channel.clock_unit_ns or CLOCK_UNITS_NS.get(channel.clock, 1)
+    return [((channel.clock,), unit_ns), (field_steps(channel.clock), unit_ns)]
 
 
 cdef bint _open_column(column, View* view, Py_ssize_t count) except -1:
@@ -1697,97 +1777,75 @@ cdef int _read_times(column, nanoseconds* out, Py_ssize_t count) except -1:
     return 0
 
 
-cdef int _read_values(fields, channel, double* out, Py_ssize_t stride, Py_ssize_t count) except -1:
-    """Read a channel's values, NaN where the field holds no number that can be one (rule 7)."""
-    cdef View view
+cdef int _read_values(View* view, const Scaling* scaling, double* out, Py_ssize_t stride,
+                      Py_ssize_t count) except -1:
+    """Read a channel's values, NaN where there is no number that can be one (rule 7); NULL: none is there."""
     cdef Py_ssize_t row
-    cdef double scale = channel.scale, offset = channel.offset, value
-    cdef bint stops = channel.stopped_as is not None
-    cdef double instead = channel.stopped_as if stops else 0.0, stopped = STOPPED, largest = channel.largest
-    if not _open(fields, channel.path, &view, count):
+    cdef double value, stopped = STOPPED
+    if view == NULL:
         for row in range(count):
-            out[row * stride] = float("nan")
+            out[row * stride] = NAN
         return 0
     for row in range(count):
-        value = scale * _double_at(&view, row) + offset
-        if stops and value < stopped:
-            value = instead
-        out[row * stride] = value if -largest <= value <= largest else float("nan")
+        value = scaling.scale * _double_at(view, row) + scaling.offset
+        if scaling.stops and value < stopped:
+            value = scaling.stopped_as
+        out[row * stride] = value if -scaling.largest <= value <= scaling.largest else NAN
     PyBuffer_Release(&view.buffer)
     return 0
 
 
-cdef int _read_stamps(channel, fields, nanoseconds* out, Py_ssize_t count) except -1:
-    """Read the stamps of a stream: its own clock, or the usual ones, the first that holds a number."""
-    names = fields.places if isinstance(fields, RecordFields) else fields
-    if channel.clock is not None:
-        path = (channel.clock,) if channel.clock in names else field_steps(channel.clock)
-        return _read_clock(fields, path, channel.clock_unit_ns or CLOCK_UNITS_NS.get(channel.clock, 1), out, count)
-    for name, unit_ns in CLOCK_UNITS_NS.items():
-        if name in names:
-            _read_clock(fields, (name,), channel.clock_unit_ns or unit_ns, out, count)
-    return 0
-
-
-cdef int _read_clock(fields, path, unit_ns, nanoseconds* out, Py_ssize_t count) except -1:
+cdef int _read_clock(View* view, unit_ns, nanoseconds* out, Py_ssize_t count) except -1:
     """Read the stamps of one clock field where none is known yet; codes where it holds none or one out of range."""
-    cdef View view
     cdef Py_ssize_t row
     cdef nanoseconds most = (MAX_STAMP_NS - 1) // unit_ns, unit = unit_ns if most else 0
     cdef double factor = unit_ns, stamp
     cdef unsigned long long whole
-    if not _open(fields, path, &view, count):
-        return 0
     for row in range(count):
         if out[row] != _CLOCKLESS:
             continue
         if view.number == _FLOATING:
-            stamp = _double_at(&view, row) * factor
+            stamp = _double_at(view, row) * factor
             if isfinite(stamp):
                 stamp = rint(stamp)
                 out[row] = <nanoseconds>stamp if 0.0 <= stamp < 4611686018427387904.0 else _UNTIMED
             continue
-        if view.number == _SIGNED and _signed_at(&view, row) < 0:
+        if view.number == _SIGNED and _signed_at(view, row) < 0:
             out[row] = _UNTIMED
             continue
-        whole = _unsigned_at(&view, row)
+        whole = _unsigned_at(view, row)
         out[row] = <nanoseconds>whole * unit if whole <= <unsigned long long>most else _UNTIMED
     PyBuffer_Release(&view.buffer)
     return 0
 
 
-cdef int _select(fields, name, value, char* chosen, Py_ssize_t count) except -1:
-    """Keep the messages whose field has a value."""
-    cdef View view
+cdef int _select(bint there, View* view, fields, path, value, char* chosen, Py_ssize_t count) except -1:
+    """Keep the messages whose field has a value; ``there``: it is one of the numbers opened."""
     cdef Py_ssize_t row
     cdef long long wanted
-    whole = isinstance(value, int) and -MAX_STAMP_NS < value < MAX_STAMP_NS
-    if whole and _open(fields, (name,), &view, count):
+    if there and isinstance(value, int) and -MAX_STAMP_NS < value < MAX_STAMP_NS:
         wanted = value
         for row in range(count):
             if view.number == _SIGNED:
-                chosen[row] &= _signed_at(&view, row) == wanted
+                chosen[row] &= _signed_at(view, row) == wanted
             elif view.number == _UNSIGNED:
-                chosen[row] &= wanted >= 0 and _unsigned_at(&view, row) == <unsigned long long>wanted
+                chosen[row] &= wanted >= 0 and _unsigned_at(view, row) == <unsigned long long>wanted
             else:
-                chosen[row] &= _double_at(&view, row) == <double>wanted
+                chosen[row] &= _double_at(view, row) == <double>wanted
+    else:
+        column = fields.get(path[0])
+        for row in range(count):
+            chosen[row] &= column is not None and column[row].tolist() == value
+    if there:
         PyBuffer_Release(&view.buffer)
-        return 0
-    column = fields.get(name)
-    for row in range(count):
-        chosen[row] &= column is not None and column[row].tolist() == value
     return 0
 
 
-cdef int _reach(fields, name, double least, char* chosen, Py_ssize_t count) except -1:
-    """Keep the messages whose field is a number of at least so much."""
-    cdef View view
+cdef int _reach(bint there, View* view, double least, char* chosen, Py_ssize_t count) except -1:
+    """Keep the messages whose field is a number of at least so much; ``there``: it is one of those opened."""
     cdef Py_ssize_t row
-    if not _open(fields, (name,), &view, count):
-        for row in range(count):
-            chosen[row] = False
-        return 0
     for row in range(count):
-        chosen[row] &= _double_at(&view, row) >= least
-    PyBuffer_Release(&view.buffer)
+        chosen[row] &= there and _double_at(view, row) >= least
+    if there:
+        PyBuffer_Release(&view.buffer)
     return 0
