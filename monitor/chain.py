@@ -22,7 +22,7 @@ from adapters.sample import Samples
 from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
-from monitor.core.alarms import EXPLAINED, RAISED, UPDATED, ChainRows, evidence_of, walk
+from monitor.core.alarms import EXPLAINED, RAISED, UPDATED, ChainRows, Weighing, walk
 from monitor.core.observers import CommandScale, SinceMeasured, shares_in_command
 from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimates, Layout
@@ -226,9 +226,7 @@ class ObserverChain:
         self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule, profile.supply)
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(observer, profile.isolation, names, thresholds)
-        self._shown_in = shown_in(profile.model, self.layout)
-        self._uncertainty = Uncertainty(observer, profile.model, names)
-        self._spread = np.array([profile.spread.get(name, 1.0) for name in names])
+        self._uncertainty = Uncertainty(observer, profile.model, names, profile.spread)
         self._since_measured = SinceMeasured()
         self._command = CommandUnits(profile)
         self._effectiveness = EffectivenessStage(profile.effectiveness, profile.faults, gains.inputs, gains.rate_hz)
@@ -243,10 +241,6 @@ class ObserverChain:
         self._excitation = None
         if profile.excitation is not None:
             self._excitation = ExcitationStage(profile.excitation, gains.outputs, len(gains.inputs), gains.rate_hz)
-        # the share of its threshold that each fault reaches in health; those whose errors grow with what is flown
-        shares = {rule.channel: rule.healthy / rule.threshold for rule in profile.alarms if rule.threshold > 0.0}
-        self._healthy = np.array([shares.get(name, 0.0) for name in names])
-        self._excited = [index for index, channel in enumerate(profile.faults) if channel.kind == "actuator"]
         self._actuators = {channel.name for channel in profile.faults if channel.input is not None}
         self._excuses = excuses or Excuses(())
         # Faults first, then the alarm of what no fault explains: the order in which a row is processed.
@@ -254,10 +248,16 @@ class ObserverChain:
         self._alarms = tuple(Alarm(rule, vehicle) for rule in rules)
         self._states = tuple(alarm.state for alarm in self._alarms)
         self._faults = [names.index(rule.channel) for rule in rules if rule.kind != "residual"]
-        self._fault_of = np.array(self._faults, np.intp)
+        # the share of its threshold that each fault reaches in health; those whose errors grow with what is flown
+        shares = {rule.channel: rule.healthy / rule.threshold for rule in profile.alarms if rule.threshold > 0.0}
+        healthy = np.array([shares.get(name, 0.0) for name in names])
+        excited = [index for index, channel in enumerate(profile.faults) if channel.kind == "actuator"]
+        self._weighing = Weighing(
+            self._faults, len(self._alarms), shown_in(profile.model, self.layout), healthy, excited
+        )
         # the alarm of each fault, and behind them what an index of -1 finds: no alarm
         self._alarm_of = np.full(len(names) + 1, -1, np.intp)
-        self._alarm_of[self._fault_of] = np.arange(len(self._faults))
+        self._alarm_of[self._faults] = np.arange(len(self._faults))
         jumping = _jumping(profile.isolation)
         for alarm in self._alarms[: len(self._faults)]:
             channel = alarm.rule.channel
@@ -355,7 +355,9 @@ class ObserverChain:
         ``position`` is the place in the batch of the message that completed each (n,); the vehicle's phase is the same
         for all of them and was entered before.
         """
-        raw = samples = self._sampler.supplied(samples, batch, position)
+        raw = self._sampler.supplied(samples, batch, position)
+        if not len(raw):
+            return None
         samples, rows, spread, unflown, beyond = self._sampler.run(raw)
         if self._envelope is not None:
             beyond = self._envelope.run(raw, np.arange(len(raw))[rows])
@@ -393,10 +395,11 @@ class ObserverChain:
         if position is None:
             position = np.arange(len(samples))
         found = self._estimator.run(samples, armed, beyond)
-        sd = self._spread * self._uncertainty.run(samples.measured, samples.restart)
-        for name in spread.keys() & set(self.layout.faults):
-            index = self.layout.faults.index(name)
-            sd[:, index] = np.hypot(sd[:, index], spread[name])
+        sd = self._uncertainty.run(samples.measured, samples.restart)
+        for name, deviation in spread.items():
+            if name in self.layout.faults:
+                index = self.layout.faults.index(name)
+                sd[:, index] = np.hypot(sd[:, index], deviation)
         effects = self._effectiveness.run(samples, found.fault, armed)
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
         for index, effect in effects.items():
@@ -423,13 +426,18 @@ class ObserverChain:
         commands: Mapping[int, NDArray[np.float64]],
         beyond: NDArray[np.float64] | None,
     ) -> ChainRun:
-        evidence, speaking = evidence_of(
-            estimates.isolated, found.unexplained, estimates.armed, found.counted, self._fault_of, len(self._alarms)
+        samples = estimates.samples
+        excitation = None if self._excitation is None else self._excitation.run(samples, found.level)
+        evidence, speaking, alarm_scale, scale = self._weighing.run(
+            estimates.isolated,
+            found.unexplained,
+            estimates.armed,
+            found.counted,
+            samples.lost,
+            found.level,
+            beyond,
+            excitation,
         )
-        lost = estimates.samples.lost[:, len(self.layout.inputs) :]
-        if lost.any():
-            faults = len(self._faults)
-            speaking[:, :faults] &= ~(lost[:, None] | ~self._shown_in[self._faults]).all(axis=2)
         scaled, relative = {}, {}
         for alarm, fault in enumerate(self._faults):
             if (effect := effects.get(fault)) is not None:
@@ -437,17 +445,6 @@ class ObserverChain:
                 relative[alarm] = effect.share
             elif fault in commands:
                 scaled[alarm] = commands[fault]
-        samples = estimates.samples
-        scale = np.maximum(1.0, np.sqrt(found.level)[:, None] * self._healthy)
-        # what no fault explains has errors of all of them in it
-        outside = np.ones(len(samples)) if beyond is None else beyond
-        if self._excitation is not None:
-            excited = self._excitation.run(samples, found.level)
-            scale[:, self._excited] = excited[:, 2:]
-            outside = np.maximum(outside, self._excitation.beyond(excited))
-        if beyond is not None:
-            # an edge is judged by what is flat before and after it
-            scale = np.where(self._healthy > 0.0, scale * beyond[:, None], scale)
         changes = self._changes_of(estimates, commands)
         if changes is not None and beyond is not None:
             # so many times larger errors are likelier to look like a fault by the square
@@ -459,7 +456,7 @@ class ObserverChain:
             samples.restart,
             evidence,
             speaking,
-            np.column_stack([scale[:, self._fault_of], *[outside] * (len(self._alarms) - len(self._faults))]),
+            alarm_scale,
             *(() if changes is None else self._named(changes)),
         )
         return ChainRun(
@@ -478,11 +475,11 @@ class ObserverChain:
         )
 
     def _changes_of(self, estimates: Estimates, commands: Mapping[int, NDArray[np.float64]]) -> ChangeRun | None:
-        """Return the sudden change that each row names, None without a test."""
+        """Return the sudden change that each row names, None where none does."""
         if self._changes is None:
             return None
         run = self._changes.run(estimates.samples, estimates.armed, estimates.isolated)
-        return self._command.of_change(run, commands)
+        return None if run.named.max(initial=-1) < 0 else self._command.of_change(run, commands)
 
     def _named(self, run: ChangeRun) -> tuple[NDArray[Any], ...]:
         """Return the alarm whose sudden change each row names, with its nats, size, growth and onset."""

@@ -62,7 +62,7 @@ def test_what_no_fitted_flight_did_is_told_while_it_counts_and_of_the_whole_run(
     assert stage.outside is None
     assert stage.furthest is None
     found = stage.run(of, np.ones(80))
-    assert stage.beyond(found)[[0, 30]].tolist() == [1.0, 2.0]
+    assert found[[0, 30], 3].tolist() == [1.0, 2.0]
     assert stage.outside == "outside the fitted flights (rate 2 rad/s, fitted to 1): seen from 7.2 times the sizes on"
     stage.run(calm, np.ones(80))
     assert stage.outside is None

@@ -62,12 +62,25 @@ class ChainRows:
         onset_ns: NDArray[np.int64] | None = None,
     ) -> None: ...
 
-def evidence_of(
-    isolated: NDArray[np.float64],
-    unexplained: NDArray[np.float64],
-    armed: NDArray[np.bool_],
-    counted: NDArray[np.bool_],
-    fault_of: NDArray[np.intp],
-    alarms: int,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
+class Weighing:
+    def __init__(
+        self,
+        fault_of: Sequence[int],
+        alarms: int,
+        shown: NDArray[np.bool_],
+        healthy: NDArray[np.float64],
+        excited: Sequence[int],
+    ) -> None: ...
+    def run(
+        self,
+        isolated: NDArray[np.float64],
+        unexplained: NDArray[np.float64],
+        armed: NDArray[np.bool_],
+        counted: NDArray[np.bool_],
+        lost: NDArray[np.bool_],
+        level: NDArray[np.float64],
+        beyond: NDArray[np.float64] | None,
+        excitation: NDArray[np.float64] | None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]: ...
+
 def walk(chains: Sequence[ChainRows], on_event: Callable[[int, int, int, int], None]) -> None: ...

@@ -6,7 +6,7 @@ The rule itself is described in :mod:`monitor.alarms.alarm`, whose names it bear
 
 import numpy as np
 
-from libc.math cimport INFINITY, exp, fabs
+from libc.math cimport INFINITY, exp, fabs, sqrt
 from libc.stdint cimport int64_t, uint8_t
 
 cdef double NANOSECONDS = 1e9
@@ -377,38 +377,97 @@ cdef class ChainRows:
         return change
 
 
-def evidence_of(const double[:, :] isolated, const double[:] unexplained, const uint8_t[:] armed,
-                const uint8_t[:, :] counted, const Py_ssize_t[:] fault_of, Py_ssize_t alarms):
-    """Return evidence and speaking of :class:`ChainRows`: the alarms of faults first, then those of the unexplained.
+cdef class Weighing:
+    """What estimates are as evidence of an observer's A alarms, and how many times larger than usual it has to be.
 
-    Data that no hypothesis explains (not ``counted``) are evidence neither for a fault nor against it.
+    The first m alarms are those of faults, behind them come those of what no hypothesis explains.
 
     Parameters
     ----------
-    isolated, unexplained : float64 (n, a), (n,)
-        Sizes by fault, and the score of what no hypothesis explains.
-    armed, counted : bool (n,), (n, a)
-        Rows that are evidence, and faults that are.
     fault_of : intp (m,)
         The fault of each of the first m alarms.
     alarms : int
         Number of alarms A.
+    shown : bool (a, p)
+        Outputs in which each fault shows.
+    healthy : float64 (a,)
+        Share of its threshold that each fault reaches in health.
+    excited : intp
+        Faults whose errors grow with what is flown.
     """
-    cdef Py_ssize_t k, i, count = isolated.shape[0], faults = fault_of.shape[0]
-    if not count == unexplained.shape[0] == armed.shape[0] == counted.shape[0] or isolated.shape[1] != counted.shape[1]:
-        raise ValueError("isolated, unexplained, armed and counted do not fit together")
-    results = np.empty((count, alarms)), np.empty((count, alarms), np.bool_)
-    cdef double[:, ::1] evidence = results[0]
-    cdef uint8_t[:, ::1] speaking = results[1]
-    for k in range(count):
-        for i in range(alarms):
-            if i < faults:
-                evidence[k, i] = isolated[k, fault_of[i]]
-                speaking[k, i] = armed[k] and counted[k, fault_of[i]]
-            else:
-                evidence[k, i] = unexplained[k]
-                speaking[k, i] = armed[k]
-    return results
+
+    cdef const Py_ssize_t[::1] fault_of, excited
+    cdef const uint8_t[:, ::1] shown
+    cdef const double[::1] healthy
+    cdef Py_ssize_t alarms
+
+    def __init__(self, fault_of, alarms, shown, healthy, excited):
+        self.fault_of, self.excited = np.asarray(fault_of, np.intp), np.asarray(excited, np.intp)
+        self.shown, self.healthy, self.alarms = np.ascontiguousarray(shown), healthy, alarms
+
+    def run(self, const double[:, :] isolated, const double[:] unexplained, const uint8_t[:] armed,
+            const uint8_t[:, :] counted, const uint8_t[:, :] lost, const double[:] level, const double[:] beyond,
+            const double[:, :] excitation):
+        """Return evidence, speaking and scale of :class:`ChainRows`, and the scale of each fault (n, a).
+
+        Data that no hypothesis explains (not ``counted``) are evidence neither for a fault nor against it, nor is a row
+        for one whose outputs are all lost.
+
+        Parameters
+        ----------
+        isolated, unexplained : float64 (n, a), (n,)
+            Sizes by fault, and the score of what no hypothesis explains.
+        armed, counted : bool (n,), (n, a)
+            Rows that are evidence, and faults that are.
+        lost : bool (n, s + p)
+            Inputs, then outputs, that were not measured.
+        level : float64 (n,)
+            How many times that of healthy flight the residuals' mean square is.
+        beyond : float64 (n,) | None
+            How many times larger all sizes are outside of the fitted flights.
+        excitation : float64 (n, 4) | None
+            What :class:`monitor.core.excitation.Excitation` says of the rows.
+        """
+        cdef Py_ssize_t k, i, j, fault, count = isolated.shape[0], faults = self.fault_of.shape[0]
+        cdef Py_ssize_t width = self.healthy.shape[0], outputs = self.shown.shape[1]
+        cdef Py_ssize_t first = lost.shape[1] - outputs
+        cdef double outside
+        cdef bint hidden
+        if not count == unexplained.shape[0] == armed.shape[0] == counted.shape[0] == lost.shape[0] == level.shape[0]:
+            raise ValueError("isolated, unexplained, armed, counted, lost and level differ in length")
+        if not isolated.shape[1] == counted.shape[1] == width or first < 0:
+            raise ValueError(f"isolated and counted are not of {width} faults, or lost not of {outputs} outputs")
+        results = (
+            np.empty((count, self.alarms)), np.empty((count, self.alarms), np.bool_), np.empty((count, self.alarms)),
+            np.empty((count, width)),
+        )
+        cdef double[:, ::1] evidence = results[0], scale = results[2], of_fault = results[3]
+        cdef uint8_t[:, ::1] speaking = results[1]
+        for k in range(count):
+            for i in range(width):
+                of_fault[k, i] = max(1.0, sqrt(level[k]) * self.healthy[i])
+            # What no fault explains has errors of all of them in it.
+            outside = 1.0 if beyond is None else beyond[k]
+            if excitation is not None:
+                for i in range(self.excited.shape[0]):
+                    of_fault[k, self.excited[i]] = excitation[k, 2]
+                outside = max(outside, excitation[k, 3])
+            if beyond is not None:
+                for i in range(width):
+                    # An edge is judged by what is flat before and after it.
+                    if self.healthy[i] > 0.0:
+                        of_fault[k, i] *= beyond[k]
+            for i in range(self.alarms):
+                if i >= faults:
+                    evidence[k, i], speaking[k, i], scale[k, i] = unexplained[k], armed[k], outside
+                    continue
+                fault = self.fault_of[i]
+                hidden = True
+                for j in range(outputs):
+                    hidden = hidden and (lost[k, first + j] or not self.shown[fault, j])
+                evidence[k, i], scale[k, i] = isolated[k, fault], of_fault[k, fault]
+                speaking[k, i] = armed[k] and counted[k, fault] and not hidden
+        return results
 
 
 def walk(chains, on_event):

@@ -34,7 +34,7 @@ class Choice:
         complete: Flags,
         restart: Flags,
         armed: Flags,
-        beyond: Array,
+        beyond: Array | None,
     ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], Array, Array, Array]: ...
 
 class EdgeDetector:

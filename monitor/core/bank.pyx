@@ -135,12 +135,14 @@ cdef class Choice:
 
         x (n, K, states), fault (n, F) and residual (n, K, p) are what the observers estimate. A row that is neither
         measured nor a restart teaches nothing: the choice stays. The level is followed over rows that are evidence
-        (``armed``). ``beyond`` is how many times larger all sizes are outside of the fitted flights.
+        (``armed``). ``beyond`` is how many times larger all sizes are outside of the fitted flights, None: once.
         """
         cdef Py_ssize_t k, i, count = x.shape[0], states = x.shape[2], p = residual.shape[2], a = self.shown.shape[0]
         if not count == fault.shape[0] == residual.shape[0]:
             raise ValueError("x, fault and residual differ in length")
-        if not count == measured.shape[0] == complete.shape[0] == restart.shape[0] == armed.shape[0] == beyond.shape[0]:
+        if not count == measured.shape[0] == complete.shape[0] == restart.shape[0] == armed.shape[0] or (
+            beyond is not None and beyond.shape[0] != count
+        ):
             raise ValueError("x, measured, complete, restart, armed and beyond differ in length")
         if x.shape[1] != self.J.shape[0] or residual.shape[1] != self.J.shape[0] or p != self.residual.shape[1]:
             raise ValueError("x and residual are not of the bank's hypotheses and outputs")
@@ -160,7 +162,8 @@ cdef class Choice:
                 self.clear()
             level[k] = max(1.0, self.level)
             if measured[k] or restart[k]:
-                self.update(fault, residual, k, complete[k] and not self.coasted, beyond[k])
+                self.update(fault, residual, k, complete[k] and not self.coasted,
+                            1.0 if beyond is None else beyond[k])
                 # What no hypothesis explains is no weather: it must not hide itself.
                 if armed[k] and self.usual > 0.0 and self.unexplained == 0.0:
                     brought = level[k] * self.least / self.usual

@@ -18,7 +18,7 @@ class ChangeTest:
         grown: Array,
         owner: Sequence[int] | NDArray[np.intp],
         sudden: Sequence[bool] | Array,
-        nameable: int,
+        faults: Sequence[int],
         driven: bool,
         largest: float,
         rate_hz: float,
@@ -31,5 +31,12 @@ class ChangeTest:
     ) -> None: ...
     def innovations(self, u: Array, y: Array, usable: Flags, restart: Flags) -> tuple[Array, Array, Flags]: ...
     def run(
-        self, u: Array, y: Array, usable: Flags, restart: Flags, armed: Flags, believed: Array
+        self,
+        u: Array,
+        y: Array,
+        usable: Flags,
+        restart: Flags,
+        times_ns: NDArray[np.int64],
+        armed: Flags,
+        believed: Array,
     ) -> tuple[NDArray[np.intp], Array, Array, Array, Array, NDArray[np.int64]]: ...

@@ -4,7 +4,7 @@
 The rule itself; :mod:`monitor.estimation.changes` tells what it is for, in the same symbols.
 """
 
-from libc.math cimport fabs, sqrt
+from libc.math cimport fabs, rint, sqrt
 from libc.stdint cimport int64_t, uint8_t
 
 import numpy as np
@@ -30,9 +30,15 @@ cdef double SMALLEST_DETERMINANT = 1e-9
 
 
 cdef struct Fitted:
-    # how well a hypothesis explains the window at its best onset: nats, size with its variance, and the onset's age
-    double nats, size, variance
+    # how well a hypothesis explains the window at its best onset: nats, size with its variance and growth a second, and
+    # the onset's age
+    double nats, size, variance, growth
     Py_ssize_t age
+
+
+cdef inline Py_ssize_t back(Py_ssize_t newest, Py_ssize_t age, Py_ssize_t length) noexcept:
+    """Return the index in a ring of what is so many rows older than the newest, fewer than it has."""
+    return newest - age if newest >= age else newest - age + length
 
 
 cdef class ChangeTest:
@@ -61,8 +67,9 @@ cdef class ChangeTest:
         The fault that each addition stands for (S,); those of actuators are the first m.
     sudden : ndarray of bool
         Which additions are there at once: they may begin between two rows (S,).
-    nameable : int
-        Faults below it are named; others only keep a name from being given.
+    faults : ndarray
+        Index among the observer's faults of those that are named, the first of all; others only keep a name from being
+        given.
     driven : bool
         Whether r is what the inputs make of each output in a row, instead of the output itself.
     largest, rate_hz : float
@@ -81,11 +88,11 @@ cdef class ChangeTest:
 
     cdef double[:, ::1] dynamics, curves, variance
     cdef double[::1] taps
-    cdef Py_ssize_t[::1] judged, actuators, owner
+    cdef Py_ssize_t[::1] judged, actuators, owner, faults
     cdef double[:, :, ::1] whitening, impulse, direct, additions
     cdef double[:, ::1] grown
-    cdef Py_ssize_t n, s, p, m, S, H, L, P, D, depth, length, hold, window, nameable
-    cdef double clip, follow, limit, rate_hz
+    cdef Py_ssize_t n, s, p, m, S, H, L, P, D, depth, length, hold, window
+    cdef double clip, follow, limit, rate_hz, step_ns
     cdef bint driven
     # what is kept from row to row: v, innovations, |y| and |B dv|, newest at ``at`` of rings
     cdef double[:, ::1] v, acting, innovation, excited
@@ -104,7 +111,7 @@ cdef class ChangeTest:
     cdef int64_t row
     cdef bint has_y
 
-    def __init__(self, dynamics, curves, taps, judged, actuators, additions, grown, owner, sudden, nameable, driven,
+    def __init__(self, dynamics, curves, taps, judged, actuators, additions, grown, owner, sudden, faults, driven,
                  largest, rate_hz, whitening, variance, hold, window, clip, level_rows):
         self.dynamics, self.curves = np.ascontiguousarray(dynamics, float), np.ascontiguousarray(curves, float)
         self.taps, self.variance = np.ascontiguousarray(taps, float), np.ascontiguousarray(variance, float)
@@ -116,7 +123,8 @@ cdef class ChangeTest:
         self.additions, self.grown = np.ascontiguousarray(additions, float), np.ascontiguousarray(grown, float)
         self.D, self.S = self.grown.shape[0], self.grown.shape[1]
         self.owner = np.concatenate([np.arange(self.m)] * 3 + [np.asarray(owner)]).astype(np.intp)
-        self.nameable, self.driven, self.limit, self.rate_hz = nameable, driven, largest, rate_hz
+        self.faults = np.asarray(faults, np.intp)
+        self.driven, self.limit, self.rate_hz, self.step_ns = driven, largest, rate_hz, 1e9 / rate_hz
         self.H, self.depth = 3 * self.m + self.S, self.P + self.L
         self.hold, self.window, self.clip = max(1, hold), max(2, window), clip
         # The ring of v holds what the deepest lag needs, that of innovations what the whitening needs.
@@ -132,7 +140,7 @@ cdef class ChangeTest:
         self.along, self.square, self.cross = np.zeros((3, self.H))
         self.is_sudden = np.repeat([1, 0], [2 * self.m, self.m]).astype(np.uint8)
         self.is_sudden = np.concatenate([self.is_sudden, np.asarray(sudden)]).astype(np.uint8)
-        self.moment, self.information, self.mixed = np.zeros((3, self.window, self.H))
+        self.moment, self.information, self.mixed = np.zeros((3, self.H, self.window))
         self.energy = np.zeros(self.window)
         self.impulse = self._impulse(np.asarray(dynamics), np.asarray(taps), np.asarray(whitening))
         self.direct = self._impulse(np.asarray(dynamics), np.ones(1), np.asarray(whitening))
@@ -176,36 +184,43 @@ cdef class ChangeTest:
         return results
 
     def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] usable, const uint8_t[:] restart,
-            const uint8_t[:] armed, const double[:, :] believed):
-        """Return the named fault (N,), -1 for none, with nats, size, its growth a second and sd, and rows since (N,).
+            const int64_t[:] times_ns, const uint8_t[:] armed, const double[:, :] believed):
+        """Return the named fault (N,), -1 for none, with nats, size, its growth a second, sd and time of onset (N,).
 
-        The size of an actuator's fault is the share of its effect that it lost; that of a sensor is given as it is.
+        The size of an actuator's fault is the share of its effect, negative where it lost; that of a sensor is given as
+        it is.
 
         Parameters
         ----------
         u, y : float64 (N, s), (N, n)
             Samples.
+        times_ns : int64 (N,)
+            Vehicle times.
         usable, restart, armed : bool (N,)
             Samples that are measured and complete, at which the observer starts afresh, that are evidence.
-        believed : float64 (N, m)
-            Signed size of each actuator's fault as the observer believes it.
+        believed : float64 (N, a)
+            Signed size of each of the observer's faults as it believes it.
         """
-        cdef Py_ssize_t k, count = u.shape[0]
-        results = np.full(count, -1, np.intp), *np.zeros((4, count)), np.zeros(count, np.int64)
+        cdef Py_ssize_t k, owner, count = u.shape[0]
+        cdef double sign = -1.0 if self.m else 1.0
+        results = np.empty(count, np.intp), *np.zeros((4, count)), np.empty(count, np.int64)
         cdef Py_ssize_t[::1] named = results[0]
         cdef double[::1] nats = results[1], size = results[2], growth = results[3], sd = results[4]
-        cdef int64_t[::1] age = results[5]
+        cdef int64_t[::1] onset_ns = results[5]
         cdef Fitted found
         for k in range(count):
             self.take(u, y, k, usable[k], restart[k])
+            named[k], onset_ns[k] = -1, times_ns[k]
             if self.known <= self.P or self.commands <= self.depth or not armed[k]:
                 self.drop_onsets()
                 continue
             self.whiten()
             self.accumulate()
-            named[k] = self.judge(believed[k], &found, &growth[k])
-            if named[k] >= 0:
-                nats[k], size[k], sd[k], age[k] = found.nats, found.size, sqrt(found.variance), found.age
+            owner = self.judge(believed[k], &found)
+            if owner >= 0:
+                named[k], nats[k], sd[k] = self.faults[owner], found.nats, sqrt(found.variance)
+                size[k], growth[k] = sign * found.size, sign * found.growth
+                onset_ns[k] -= <int64_t>rint(found.age * self.step_ns)
         return results
 
     cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, bint usable, bint restart) noexcept:
@@ -216,7 +231,7 @@ cdef class ChangeTest:
             self.clear()
         self.row += 1
         row = self.row % self.length
-        before = (self.row - 1) % self.length
+        before = back(row, 1, self.length)
         for j in range(self.s):
             value, power, command = 0.0, 1.0, u[k, j]
             if not fabs(command) < self.limit:
@@ -229,7 +244,7 @@ cdef class ChangeTest:
             # What the lag lets through: it acts on this row.
             self.acting[row, j] = 0.0
             for d in range(min(self.L, self.commands)):
-                self.acting[row, j] += self.taps[d] * self.v[(self.row - 1 - d) % self.length, j]
+                self.acting[row, j] += self.taps[d] * self.v[back(row, d + 1, self.length), j]
         for i in range(self.p):
             value = y[k, self.judged[i]]
             if not self.has_y or not usable:
@@ -259,21 +274,21 @@ cdef class ChangeTest:
 
     cdef double largest(self, Py_ssize_t column) noexcept:
         """Return the largest of the last rows: as many as there were since the restart, ``hold`` at most."""
-        cdef Py_ssize_t i
+        cdef Py_ssize_t i, newest = self.row % self.hold
         cdef double most = 0.0
         for i in range(min(self.hold, self.commands)):
-            most = max(most, self.excited[(self.row - i) % self.hold, column])
+            most = max(most, self.excited[back(newest, i, self.hold), column])
         return most
 
     cdef void whiten(self) noexcept:
         """z = (nu - sum_i Phi_i nu(k - i)) / sigma, at most ``clip``; sigma^2 = (c_0 + c_1 r^2 + c_2 d^2) lambda."""
-        cdef Py_ssize_t i, j, lag
+        cdef Py_ssize_t i, j, lag, newest = self.row % self.length
         cdef double e, rate, moved, square, length = 0.0, weight
         for i in range(self.p):
-            e = self.innovation[self.row % self.length, i]
+            e = self.innovation[newest, i]
             for lag in range(self.P):
                 for j in range(self.p):
-                    e -= self.whitening[lag, i, j] * self.innovation[(self.row - 1 - lag) % self.length, j]
+                    e -= self.whitening[lag, i, j] * self.innovation[back(newest, lag + 1, self.length), j]
             rate, moved = self.largest(i), self.largest(self.p + i)
             self.sigma[i] = sqrt(
                 self.variance[i, 0] + self.variance[i, 1] * rate * rate + self.variance[i, 2] * moved * moved)
@@ -291,12 +306,12 @@ cdef class ChangeTest:
 
     cdef void accumulate(self) noexcept:
         """Begin an onset at this row, and add s'z, s's and |z|^2 / 2 of the row to every onset in the window."""
-        cdef Py_ssize_t age, i, j, h, place
+        cdef Py_ssize_t age, i, j, h, place, newest = self.row % self.length
         cdef double half = 0.0, value, since
         self.newest = (self.newest + 1) % self.window
         self.begun = min(self.begun + 1, self.window)
         for h in range(self.H):
-            self.moment[self.newest, h] = self.information[self.newest, h] = self.mixed[self.newest, h] = 0.0
+            self.moment[h, self.newest] = self.information[h, self.newest] = self.mixed[h, self.newest] = 0.0
         self.energy[self.newest] = 0.0
         for i in range(self.p):
             half += 0.5 * self.whitened[i] * self.whitened[i]
@@ -305,20 +320,20 @@ cdef class ChangeTest:
         self.delayed[:, :] = 0.0
         self.later[:, :] = 0.0
         for age in range(self.begun):
-            place = (self.newest - age + self.window) % self.window
+            place = back(self.newest, age, self.window)
             since = age / self.rate_hz
             self.energy[place] += half
             for j in range(self.m):
                 if age < self.depth:
                     # The response to a loss since ``age`` rows: v that came before it is not missing.
                     for i in range(self.p):
-                        value = self.impulse[age, j, i] * self.v[(self.row - 1 - age) % self.length, self.actuators[j]]
+                        value = self.impulse[age, j, i] * self.v[back(newest, age + 1, self.length), self.actuators[j]]
                         self.partial[j, i] += value
                         self.delayed[j, i] += since * value
                         if age <= self.P:
                             self.behind[j, i] += (
                                 self.direct[age, j, i]
-                                * self.acting[(self.row - age) % self.length, self.actuators[j]])
+                                * self.acting[back(newest, age, self.length), self.actuators[j]])
                 # Of onsets that lie further back than lag and whitening remember the response is the same.
                 if age <= self.depth:
                     self.respond(j, &self.partial[j, 0])
@@ -330,9 +345,9 @@ cdef class ChangeTest:
                 for h in range(self.S):
                     self.respond(3 * self.m + h, &self.additions[min(age, self.D - 1), h, 0])
             for h in range(self.H):
-                self.moment[place, h] += self.along[h]
-                self.information[place, h] += self.square[h]
-                self.mixed[place, h] += self.cross[h]
+                self.moment[h, place] += self.along[h]
+                self.information[h, place] += self.square[h]
+                self.mixed[h, place] += self.cross[h]
 
     cdef void respond(self, Py_ssize_t h, const double* response) noexcept:
         """Take what a hypothesis makes of a row: along s = response / sigma, its square, and s times that of before."""
@@ -352,32 +367,34 @@ cdef class ChangeTest:
         A sudden fault begins between two rows: that is a (1 - f) s of the earlier and f s of the later one, whose
         shares are fitted together. So the variance of its size has that of its onset in it.
         """
-        cdef Fitted best = Fitted(0.0, 0.0, 0.0, 0)
-        cdef Py_ssize_t age, place, after = -1
+        cdef Fitted best = Fitted(0.0, 0.0, 0.0, 0.0, 0)
+        cdef Py_ssize_t age, place
         cdef double along, square, mixed, determinant, explained, early, late
+        # of the onset a row later
+        cdef double next_along = 0.0, next_square = 0.0
         for age in range(self.begun):
-            place = (self.newest - age + self.window) % self.window
-            along, square = self.moment[place, h], self.information[place, h]
+            place = back(self.newest, age, self.window)
+            along, square = self.moment[h, place], self.information[h, place]
             if along * along > 2.0 * best.nats * square:
-                best = Fitted(0.5 * along * along / square, along / square, 1.0 / square, age)
-            if self.is_sudden[h] and after >= 0:
-                mixed = self.mixed[place, h]
-                determinant = square * self.information[after, h] - mixed * mixed
-                early = along * self.information[after, h] - mixed * self.moment[after, h]
-                late = square * self.moment[after, h] - mixed * along
-                explained = early * along + late * self.moment[after, h]
+                best = Fitted(0.5 * along * along / square, along / square, 1.0 / square, 0.0, age)
+            if age and self.is_sudden[h]:
+                mixed = self.mixed[h, place]
+                determinant = square * next_square - mixed * mixed
+                early = along * next_square - mixed * next_along
+                late = square * next_along - mixed * along
+                explained = early * along + late * next_along
                 if (
                     explained > 2.0 * best.nats * determinant
-                    and determinant > SMALLEST_DETERMINANT * square * self.information[after, h]
+                    and determinant > SMALLEST_DETERMINANT * square * next_square
                     and early * late > 0.0
                 ):
                     best = Fitted(
                         0.5 * explained / determinant, (early + late) / determinant,
-                        (square + self.information[after, h] - 2.0 * mixed) / determinant, age)
-            after = place
+                        (square + next_square - 2.0 * mixed) / determinant, 0.0, age)
+            next_along, next_square = along, square
         return best
 
-    cdef Py_ssize_t judge(self, const double[:] believed, Fitted* chosen, double* growth) noexcept:
+    cdef Py_ssize_t judge(self, const double[:] believed, Fitted* chosen) noexcept:
         """Return the fault whose change explains the window best, beyond doubt, else -1."""
         cdef Py_ssize_t h, owner, best = -1, place
         cdef double prior, first = -1e300, second = -1e300, unexplained
@@ -388,7 +405,9 @@ cdef class ChangeTest:
         for h in range(self.H):
             found, owner = self.fit(h), self.owner[h]
             # A loss that ends is no actuator that delivers more.
-            prior = AGAINST_GAIN if h < 3 * self.m and found.size < 0.0 and not believed[owner] < 0.0 else 0.0
+            prior = 0.0
+            if h < 3 * self.m and found.size < 0.0 and not believed[self.faults[owner]] < 0.0:
+                prior = AGAINST_GAIN
             if h < 2 * self.m:
                 self.sudden[owner] = max(self.sudden[owner], found.nats - prior)
             elif h < 3 * self.m and (
@@ -403,19 +422,18 @@ cdef class ChangeTest:
                 first, best, chosen[0] = found.nats - prior, h, found
             elif found.nats - prior > second and owner != self.owner[best]:
                 second = found.nats - prior
-        if best < 0 or self.owner[best] >= self.nameable or first - second < MARGIN:
+        if best < 0 or self.owner[best] >= self.faults.shape[0] or first - second < MARGIN:
             return -1
-        place = (self.newest - chosen.age + self.window) % self.window
+        place = back(self.newest, chosen.age, self.window)
         unexplained = self.energy[place] - chosen.nats
         if unexplained > UNEXPLAINED_SHARE * chosen.nats + NOISE_OF_AXIS * self.p * (chosen.age + 1):
             return -1
         # What the fit leaves says how well the signature is known: where it is more than noise, so is the size's error.
         chosen.variance *= max(1.0, 2.0 * unexplained / (self.p * (chosen.age + 1)))
-        growth[0] = 0.0
         if best >= 3 * self.m:
             grown = self.grown[min(chosen.age, self.D - 1), best - 3 * self.m]
         elif best >= 2 * self.m:
-            growth[0], grown = chosen.size, chosen.age / self.rate_hz
+            chosen.growth, grown = chosen.size, chosen.age / self.rate_hz
         chosen.size *= grown
         chosen.variance *= grown * grown
         if best < 3 * self.m and chosen.size > LARGEST_LOSS:

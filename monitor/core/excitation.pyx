@@ -23,24 +23,41 @@ cdef class Excitation:
         Rows over which the largest counts.
     inputs : int
         Number of inputs.
+    outside : float
+        How many times further than in the fitted flights a row has to be to count as outside.
+
+    Attributes
+    ----------
+    newest : tuple
+        r, d and s of the last row.
+    furthest : tuple
+        Largest r and d of all rows.
+    rows : int
+        How many rows were outside.
     """
 
     cdef Py_ssize_t[::1] outputs
     cdef double[::1] variance, rate, moved, last
     cdef Py_ssize_t hold, known, row
+    cdef double outside
+    cdef readonly tuple newest, furthest
+    cdef readonly Py_ssize_t rows
 
-    def __init__(self, outputs, variance, hold, inputs):
+    def __init__(self, outputs, variance, hold, inputs, outside):
+        self.outside, self.newest, self.furthest = outside, (0.0, 0.0, 1.0), (0.0, 0.0)
         self.outputs, self.variance = np.asarray(outputs, np.intp), np.ascontiguousarray(variance, float)
         self.hold = max(1, hold)
         self.rate, self.moved, self.last = np.zeros(self.hold), np.zeros(self.hold), np.zeros(inputs)
         self.known = self.row = 0
 
     def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] restart, const double[:] level):
-        """Return r, d and s of n rows (n, 3)."""
+        """Return r, d, s of n rows and how many times further than in the fitted flights r or d is, 1 inside (n, 4)."""
         cdef Py_ssize_t k, i, count = u.shape[0]
-        cdef double rate, moved, square
+        cdef double rate, moved, square, beyond
+        cdef double[2] most
+        most[0], most[1] = self.furthest
         cdef double* c = &self.variance[0]
-        result = np.empty((count, 3))
+        result = np.empty((count, 4))
         cdef double[:, ::1] columns = result
         for k in range(count):
             if restart[k]:
@@ -63,6 +80,13 @@ cdef class Excitation:
             square = level[k] * (c[0] + c[1] * rate * rate + c[2] * moved * moved)
             square += c[3] * max(0.0, rate * rate - c[5] * c[5]) + c[4] * max(0.0, moved * moved - c[6] * c[6])
             columns[k, 2] = sqrt(max(1.0, square))
+            beyond = max(1.0, rate / c[5]) if c[5] > 0.0 else 1.0
+            beyond = max(beyond, moved / c[6]) if c[6] > 0.0 else beyond
+            columns[k, 3] = beyond
+            self.rows += beyond > self.outside
+            most[0], most[1] = max(most[0], rate), max(most[1], moved)
+        if count:
+            self.newest, self.furthest = (rate, moved, columns[count - 1, 2]), (most[0], most[1])
         return result
 
 

@@ -32,6 +32,7 @@ class ErrorCovariance:
         start: Array,
         owner: NDArray[np.intp],
         entry: NDArray[np.intp],
+        scale: Array,
         tolerance: float,
     ) -> None: ...
     def run(self, measured: Flags, restart: Flags) -> Array: ...

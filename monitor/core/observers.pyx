@@ -199,6 +199,8 @@ cdef class ErrorCovariance:
         P while all is measured and after a restart (K, d, d).
     owner, entry : ndarray
         The observer, and the entry of its error, whose variance is shown for each fault (a,).
+    scale : ndarray
+        How many times its standard deviation is shown for each fault (a,).
     tolerance : float
         P counts as back at the steady one where every standard deviation is within this share of the steady one.
     """
@@ -207,18 +209,18 @@ cdef class ErrorCovariance:
     cdef double[:, :, ::1] P, start, steady
     cdef double[:, ::1] AP, PA
     cdef Py_ssize_t[::1] owner, entry
-    cdef double[::1] steady_sd
+    cdef double[::1] steady_sd, scale
     cdef double tolerance
     cdef bint settled, coasted
 
-    def __init__(self, A, Q, steady, start, owner, entry, tolerance):
+    def __init__(self, A, Q, steady, start, owner, entry, scale, tolerance):
         self.A, self.Q = np.ascontiguousarray(A), np.ascontiguousarray(Q)
         self.steady, self.start = np.ascontiguousarray(steady), np.ascontiguousarray(start)
         self.P = np.array(steady)
         self.AP, self.PA = np.empty((2, *steady.shape[1:]))
         self.owner, self.entry = owner.astype(np.intp), entry.astype(np.intp)
         self.steady_sd = np.sqrt(np.maximum(steady[owner, entry, entry], 0.0))
-        self.tolerance = tolerance
+        self.scale, self.tolerance = np.ascontiguousarray(scale, np.float64), tolerance
         self.settled, self.coasted = True, False
 
     def run(self, const unsigned char[:] measured, const unsigned char[:] restart):
@@ -247,9 +249,8 @@ cdef class ErrorCovariance:
                         self.settled = False
                 if self.settled:
                     self.P[:] = self.steady
-            if self.settled:
-                for i in range(faults):
-                    sd[k, i] = self.steady_sd[i]
+            for i in range(faults):
+                sd[k, i] = self.scale[i] * (self.steady_sd[i] if self.settled else sd[k, i])
         return result
 
     cdef double deviation(self, Py_ssize_t i) noexcept:

@@ -177,16 +177,7 @@ class Bank:
         restart, measured = samples.restart, samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)
         return EstimatorRun(
-            *self._choice.run(
-                run.x,
-                run.fault,
-                run.residual,
-                measured,
-                samples.complete,
-                restart,
-                armed,
-                np.ones(len(samples)) if beyond is None else beyond,
-            )
+            *self._choice.run(run.x, run.fault, run.residual, measured, samples.complete, restart, armed, beyond)
         )
 
 

@@ -125,10 +125,7 @@ class ChangeStage:
 
     def __init__(self, plant: Plant, rate_hz: float, inputs: Mapping[str, int | None], rule: ChangeRule) -> None:
         named = [*rule.lasts_s] or [name for name, source in inputs.items() if source is not None]
-        self._faults = np.array([list(inputs).index(name) for name in named], np.intp)
         sources = [] if rule.lasts_s else [inputs[name] for name in named]
-        self._inputs = np.array([source for source in sources if source is not None], np.intp)
-        self._step_ns = 1e9 / rate_hz
         self._depth = 1
         judged = [plant.outputs.index(name) for name in rule.outputs]
         n = len(plant.outputs)
@@ -140,9 +137,9 @@ class ChangeStage:
             "clip": CLIP,
             "level_rows": LEVEL_S * rate_hz,
             "rate_hz": rate_hz,
-            "nameable": len(named),
+            "faults": [list(inputs).index(name) for name in named],
             "judged": judged,
-            "actuators": self._inputs,
+            "actuators": [source for source in sources if source is not None],
         }
         if not rule.lasts_s:
             dynamics = np.column_stack([plant.A, plant.B, plant.c])[judged]
@@ -159,7 +156,7 @@ class ChangeStage:
                 taps=taps,
                 additions=_whitened(_unpredicted(moved, dynamics[:, :n], judged), rule.whitening),
                 grown=np.ones((depth, jumps)),
-                owner=len(self._faults) + np.arange(jumps) % len(judged),
+                owner=len(named) + np.arange(jumps) % len(judged),
                 sudden=np.ones(jumps),
                 driven=False,
                 largest=_LARGEST_COMMAND,
@@ -212,14 +209,7 @@ class ChangeStage:
 
     def run(self, samples: Samples, armed: NDArray[np.bool_], believed: NDArray[np.float64]) -> ChangeRun:
         """Process n samples; ``armed`` says which are evidence (n,), ``believed`` each fault's size (n, a)."""
-        named, nats, size, growth, sd, age = self._test.run(
-            *self._given(samples), armed, believed[:, self._faults] if len(self._inputs) else believed[:, :0]
-        )
-        if len(self._inputs):
-            size, growth = -size, -growth
-        onset_ns = samples.vehicle_time_ns - np.round(age * self._step_ns).astype(np.int64)
-        fault = np.where(named < 0, -1, self._faults[named])
-        return ChangeRun(fault, nats, size, growth, sd, onset_ns)
+        return ChangeRun(*self._test.run(*self._given(samples), samples.vehicle_time_ns, armed, believed))
 
     def _given(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return u and y with those of the sample before beside them, as far as the prediction asks for them."""

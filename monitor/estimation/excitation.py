@@ -69,42 +69,38 @@ class ExcitationStage:
 
     def __init__(self, rule: ExcitationRule, outputs: Sequence[str], inputs: int, rate_hz: float) -> None:
         judged = [outputs.index(name) for name in rule.outputs]
+        numbers = np.array([getattr(rule, key) for key in _NUMBERS])
         # as many samples as last HOLD_S, and the one at which a change of commands was seen
-        self._core = Excitation(
-            judged, np.array([getattr(rule, key) for key in _NUMBERS]), ceil(HOLD_S * rate_hz) + 1, inputs
-        )
-        self._fitted = np.array([rule.output_fitted, rule.command_fitted])
+        self._core = Excitation(judged, numbers, ceil(HOLD_S * rate_hz) + 1, inputs, WORTH_SAYING)
+        self._fitted = rule.output_fitted, rule.command_fitted
         self._rate_hz = rate_hz
-        self._newest, self._largest, self._rows = np.array([0.0, 0.0, 1.0]), np.zeros(2), 0
 
     def run(self, samples: Samples, level: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return r, d and s of n samples (n, 3), of which the residuals have some level (n,)."""
-        found = self._core.run(samples.u, samples.y, samples.restart, level)
-        if len(found):
-            self._newest = found[-1]
-            self._largest = np.fmax(self._largest, found[:, :2].max(axis=0))
-            self._rows += int(np.count_nonzero(self.beyond(found) > WORTH_SAYING))
-        return np.asarray(found, np.float64)
+        """Process n samples of which the residuals have some level (n,).
 
-    def beyond(self, found: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how many times further than in the fitted flights n rows of :meth:`run` are, 1 inside of them (n,)."""
-        known = self._fitted > 0.0
-        return np.asarray((found[:, :2][:, known] / self._fitted[known]).max(axis=1, initial=1.0))
+        Returns
+        -------
+        NDArray[np.float64]
+            r, d, s, and how many times further than in the fitted flights r or d is, 1 inside of them (n, 4).
+        """
+        return self._core.run(samples.u, samples.y, samples.restart, level)
 
     @property
     def outside(self) -> str | None:
         """What of the last ``HOLD_S`` lies outside of the fitted flights, for people; None where nothing does."""
-        return outside_text(self._sizes(self._newest[:2]), self._newest[2])
+        return outside_text(self._sizes(*self._core.newest[:2]), self._core.newest[2])
 
     @property
     def furthest(self) -> tuple[float, str] | None:
         """For how long, seconds, and how far a run lay outside of the fitted flights; None where it did not."""
-        text = excess_text(self._sizes(self._largest))
+        text = excess_text(self._sizes(*self._core.furthest))
         if text is None:
             return None
-        return self._rows / self._rate_hz, f"outside the fitted flights: {text}; there sizes are larger"
+        return self._core.rows / self._rate_hz, f"outside the fitted flights: {text}; there sizes are larger"
 
-    def _sizes(self, causes: NDArray[np.float64]) -> list[tuple[str, float, float, str]]:
-        (rate, change), (rate_fitted, change_fitted) = causes.tolist(), self._fitted.tolist()
-        change_percent, fitted_percent = 100.0 * change, 100.0 * change_fitted
-        return [("rate", rate, rate_fitted, "rad/s"), ("change of a command", change_percent, fitted_percent, "%")]
+    def _sizes(self, rate: float, change: float) -> list[tuple[str, float, float, str]]:
+        rate_fitted, change_fitted = self._fitted
+        return [
+            ("rate", rate, rate_fitted, "rad/s"),
+            ("change of a command", 100.0 * change, 100.0 * change_fitted, "%"),
+        ]

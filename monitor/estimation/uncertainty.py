@@ -10,7 +10,8 @@ The scales are those of the design: where they are larger than what a flight sho
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +30,17 @@ alarm, while the rest of an exponential approach would be stepped for nothing.""
 class Uncertainty:
     """Standard deviations of the fault estimates of one observer or bank, designed for a plant.
 
-    ``faults`` are all fault channels (a,) in the order of the estimates.
+    ``faults`` are all fault channels (a,) in the order of the estimates, ``scale`` says how many times larger those of
+    some are than the error system has them.
     """
 
-    def __init__(self, observer: Observer, plant: Plant | None, faults: Sequence[str]) -> None:
+    def __init__(
+        self,
+        observer: Observer,
+        plant: Plant | None,
+        faults: Sequence[str],
+        scale: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
         self._covariance: ErrorCovariance | None = None
         self._channels = len(faults)
         systems = None if plant is None else observer.error_systems(discretise(plant, observer.rate_hz))
@@ -56,6 +64,7 @@ class Uncertainty:
                 ],
                 dtype=np.intp,
             ),
+            scale=np.array([scale.get(name, 1.0) for name in faults]),
             tolerance=_BACK,
         )
 
