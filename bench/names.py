@@ -111,7 +111,7 @@ def _motors(share: float, *numbers: int) -> Case:
 
     what = " and ".join(f"motor{n}" for n in numbers) or "all motors"
     right = frozenset(
-        {"unexplained", "thrust", "motors"}
+        {"unexplained", "thrust", "motors", "payload"}
         | {f"{part}{n}" for n in numbers or range(1, 7) for part in ("motor", "esc", "prop")}
     )
     return Case(f"{what} loss {share:g}", attacks, right, {})
@@ -191,6 +191,7 @@ class Outcome:
     size: str = ""
     covered: float | None = None
     texts: tuple[str, ...] = ()
+    said: str = ""  # what was given as information of the time of the fault, no alarm
 
 
 def try_case(case: Case, group: str, one: Flight, profile: Profile, healthy: Healthy) -> Outcome:
@@ -226,7 +227,9 @@ def try_case(case: Case, group: str, one: Flight, profile: Profile, healthy: Hea
     outputs += pipeline.run(pack(tail))
     events = [output for output in outputs if isinstance(output, AlarmEvent)]
     covered = _covered(case, profile, [o for o in outputs if isinstance(o, Estimates)], start_ns, end_ns)
-    return replace(_judged(case, group, one, events, start_ns // 1_000_000, end_ns // 1_000_000), covered=covered)
+    said = [found.text for found in pipeline.conditions if found.name in case.channels]
+    judged = _judged(case, group, one, events, start_ns // 1_000_000, end_ns // 1_000_000)
+    return replace(judged, covered=covered, said=said[0] if said else "")
 
 
 def _covered(case: Case, profile: Profile, runs: Sequence[Estimates], start_ns: int, end_ns: int) -> float | None:
@@ -358,7 +361,7 @@ def misses(outcomes: Sequence[Outcome]) -> list[str]:
         where = f"{outcome.case} ({outcome.group})"
         if outcome.refused:
             lines.append(f"- not tried: {where}: {outcome.refused}")
-        elif outcome.delay_s is None:
+        elif outcome.delay_s is None and not outcome.said:
             lines.append(f"- {'named wrongly' if outcome.named else 'not seen'}: {where} {', '.join(outcome.named)}")
         elif outcome.others:
             lines.append(f"- not alone: {where}, also {', '.join(outcome.others)}")
@@ -371,7 +374,8 @@ def misses(outcomes: Sequence[Outcome]) -> list[str]:
 def _cell(outcome: Outcome) -> str:
     if outcome.refused:
         return "not tried"
-    parts = ["MISSED" if outcome.delay_s is None else f"{outcome.delay_s:.2f} s"]
+    missed = f"no alarm, said: {outcome.said}" if outcome.said else "MISSED"
+    parts = [missed if outcome.delay_s is None else f"{outcome.delay_s:.2f} s"]
     if outcome.others:
         parts.append(f"{'also' if outcome.delay_s is not None else 'but'} {', '.join(outcome.others)}")
     if outcome.size:

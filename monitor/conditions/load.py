@@ -89,7 +89,9 @@ class Load:
         sign = math.copysign(1.0, change)
         shares = [math.expm1(sign * size) for size in (least, abs(change) * sum(self._exponents) / 2.0, most)]
         low, share, high = shares
-        text = f"payload {'picked up' if change > 0.0 else 'dropped'}: {_weights(low, share, high, self._mass_kg)}"
+        # Commands and accelerations of a vehicle that became heavier are those of one whose thrust fell.
+        what = "payload picked up, or less thrust of all motors alike" if change > 0.0 else "payload dropped"
+        text = f"{what}: {_weights(low, share, high, self._mass_kg)}"
         forward, right = self._shift(rows).tolist()
         values = {"weight_share": share, "weight_share_low": min(low, high), "weight_share_high": max(low, high)}
         if self._mass_kg:
