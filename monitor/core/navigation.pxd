@@ -97,5 +97,4 @@ cdef class Navigation:
     cdef void jump(self, Signature* signature, int which, double size, double spread) noexcept
     cdef void correct(self, const double* x) noexcept
     cdef int onsets(self) noexcept
-    cdef void row(self, double[STATES]* M, int k, const double* f) noexcept
-    cdef void column(self, double[STATES]* M, int k, const double* f) noexcept
+    cdef void advance(self, double* m, int apart, const double* f) noexcept

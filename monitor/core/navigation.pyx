@@ -238,10 +238,10 @@ cdef class Navigation:
             self._sharp[i] = fmax(fabs(specific[i]), self._sharp[i])
         # F <- F_tick F and Q <- F_tick Q F_tick' + q.
         for k in range(STATES):
-            self.row(self._F, k, specific)
-            self.row(self._Q, k, specific)
+            self.advance(&self._F[0][k], STATES, specific)
+            self.advance(&self._Q[0][k], STATES, specific)
         for k in range(STATES):
-            self.column(self._Q, k, specific)
+            self.advance(self._Q[k], 1, specific)
         for i in range(3):
             walk = 0.0
             for j in range(3):
@@ -290,31 +290,21 @@ cdef class Navigation:
             self._direction, self._pointed = -atan2(north[1], north[0]), True
             self._tilting[0], self._tilting[1] = -north[2] * north[0] / square, -north[2] * north[1] / square
 
-    cdef void row(self, double[STATES]* M, int k, const double* f) noexcept:
-        """Multiply column k of a matrix from the left with the tick's transition."""
+    cdef void advance(self, double* m, int apart, const double* f) noexcept:
+        """Multiply a column of a matrix from the left with the tick's transition, or a row with its transpose."""
         cdef double[2] v
         cdef int i
-        v[0] = self._dt * (f[2] * M[1][k] - f[1] * M[2][k])
-        v[1] = self._dt * (f[0] * M[2][k] - f[2] * M[0][k])
+        v[0] = self._dt * (f[2] * m[apart] - f[1] * m[2 * apart])
+        v[1] = self._dt * (f[0] * m[2 * apart] - f[2] * m[0])
         for i in range(2):
-            M[_V + i][k] += v[i] - self._dt * (self._R[3 * i] * M[_BA][k] + self._R[3 * i + 1] * M[_BA + 1][k])
-        for i in range(3):
-            M[i][k] -= self._dt * (
-                self._R[3 * i] * M[_BG][k] + self._R[3 * i + 1] * M[_BG + 1][k] + self._R[3 * i + 2] * M[_BG + 2][k]
+            m[(_V + i) * apart] += v[i] - self._dt * (
+                self._R[3 * i] * m[_BA * apart] + self._R[3 * i + 1] * m[(_BA + 1) * apart]
             )
-
-    cdef void column(self, double[STATES]* M, int k, const double* f) noexcept:
-        """Multiply row k of a matrix from the right with the transpose of the tick's transition."""
-        cdef double* m = M[k]
-        cdef double[2] v
-        cdef int i
-        v[0] = self._dt * (f[2] * m[1] - f[1] * m[2])
-        v[1] = self._dt * (f[0] * m[2] - f[2] * m[0])
-        for i in range(2):
-            m[_V + i] += v[i] - self._dt * (self._R[3 * i] * m[_BA] + self._R[3 * i + 1] * m[_BA + 1])
         for i in range(3):
-            m[i] -= self._dt * (
-                self._R[3 * i] * m[_BG] + self._R[3 * i + 1] * m[_BG + 1] + self._R[3 * i + 2] * m[_BG + 2]
+            m[i * apart] -= self._dt * (
+                self._R[3 * i] * m[_BG * apart]
+                + self._R[3 * i + 1] * m[(_BG + 1) * apart]
+                + self._R[3 * i + 2] * m[(_BG + 2) * apart]
             )
 
     cdef void meet(self, const double* velocity) noexcept:
