@@ -265,13 +265,14 @@ class _Descent:
         """Find coefficients to begin with: the best of some timings, weighed with a regression's noise."""
         self.noise = [self._regressed(o) for o in range(3)]
         of_geometry = np.column_stack([self.usual, self.offset, self.a])
-        best = np.inf
+        best, q = np.inf, float(self.shared[_CURVES[0]])  # the curves of all axes begin alike
         for delay, lag in _STARTS:
             self.shared[:2] = delay, lag
+            taps = lag_taps(self.shared[:3], self.rate_hz)
+            delayed = [self._delayed(stretch, taps, q) for stretch in self.stretches]
+            tried = [self._solved(delayed, exp(-damping / self.rate_hz)) for damping in _START_DAMPINGS]
             axes = [
-                (0.0, of_geometry[o])
-                if self.silent[o]
-                else min((self._solved(o, damping) for damping in _START_DAMPINGS), key=itemgetter(0))
+                (0.0, of_geometry[o]) if self.silent[o] else min((axes[o] for axes in tried), key=itemgetter(0))
                 for o in range(3)
             ]
             cost = sum(axis[0] for axis in axes)
@@ -279,17 +280,23 @@ class _Descent:
                 best, start = cost, np.append(np.concatenate([axis[1] for axis in axes]), self.shared)
         self._place(start)
 
-    def _solved(self, o: int, damping: float) -> tuple[float, FloatArray]:
-        """Return an axis' cost at a damping, and the coefficients of least squares with the regression's noise."""
-        self.a[o] = exp(-damping / self.rate_hz)
-        gram = np.zeros((self.width, self.width))
-        for stretch, (columns, own) in zip(self.stretches, self._columns(o, slopes=False), strict=True):
-            _, white = whitened(columns, own, self.noise[o])
+    def _solved(self, delayed: Sequence[FloatArray], a: float) -> dict[int, tuple[float, FloatArray]]:
+        """Return the cost of each axis, and its coefficients of least squares with the regression's noise, at one a."""
+        told = np.flatnonzero(~self.silent).tolist()
+        grams = {o: np.zeros((self.width, self.width)) for o in told}
+        for stretch, columns in zip(self.stretches, delayed, strict=True):
+            x, own = self._followed(columns, a), self._counted(stretch)
             at = np.append(np.arange(self.s + 1), 1 + self.s + self.places[stretch.flight])
-            gram[np.ix_(at, at)] += white @ white.T
-        solution = np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=None)[0]
-        left = max(float(gram[0, 0] - gram[0, 1:] @ solution), np.finfo(np.float64).tiny)
-        return np.log(left), np.append(solution, self.a[o])
+            for o in told:
+                rest = stretch.y[o] - stretch.y[o, 0] * a ** np.arange(len(own))
+                _, white = whitened(np.vstack([rest, x]), own, self.noise[o])
+                grams[o][np.ix_(at, at)] += white @ white.T
+        solved = {}
+        for o, gram in grams.items():
+            solution = np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=None)[0]
+            left = max(float(gram[0, 0] - gram[0, 1:] @ solution), np.finfo(np.float64).tiny)
+            solved[o] = np.log(left), np.append(solution, a)
+        return solved
 
     def run(self) -> None:
         """Descend to the least squares (Levenberg and Marquardt)."""
@@ -364,35 +371,42 @@ class _Descent:
         coefficients = tuple(theta[:m] for m in range(_ORDER + 1))
         return Autoregression(coefficients, np.ones(_ORDER + 1))
 
-    def _columns(self, o: int, *, slopes: bool) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
+    def _delayed(self, stretch: _Stretch, taps: FloatArray, q: float) -> FloatArray:
+        """Return what drives an axis: each motor's effect behind lag and delay, and a constant (s + 1, N)."""
+        v = (1.0 - q) * stretch.u + q * stretch.u * stretch.u
+        return np.array([*_lagged(taps, v), np.ones(v.shape[1])])
+
+    def _followed(self, driven: FloatArray, a: float) -> FloatArray:
+        """Return how an axis follows what drives it (c, N), where the constant moves it to itself."""
+        from scipy.signal import lfilter
+
+        x = np.asarray(lfilter([0.0, 1.0], [1.0, -a], driven, axis=-1))
+        x[self.s] *= 1.0 - a
+        return x
+
+    def _counted(self, stretch: _Stretch) -> NDArray[np.bool_]:
+        """Return which rows of a stretch count (N,)."""
+        own = stretch.own.copy()
+        own[: round(_UNKNOWN_S * self.rate_hz)] = False
+        return own
+
+    def _columns(self, o: int) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
         """Yield by stretch the residual of an axis and what its coefficients put into x (c, N), and rows that count."""
         from scipy.signal import lfilter
 
         q = float(self.shared[_CURVES[o]])
         taps = lag_taps(self.shared[:3], self.rate_hz)
-        moved = self._moved_taps(len(taps)) if slopes else []
+        moved = self._moved_taps(len(taps))
         a = float(self.a[o])
         for stretch in self.stretches:
             u, y = stretch.u, stretch.y[o]
-            v = (1.0 - q) * u + q * u * u
-            columns = [*_lagged(taps, v), np.ones(len(y))]
-            if slopes:
-                effect = self.B[o] @ v
-                columns += [_lagged(h, effect) for h in moved]
-                columns.append(_lagged(taps, self.B[o] @ (u * u - u)))
-            x = lfilter([0.0, 1.0], [1.0, -a], np.array(columns), axis=-1)
-            x[self.s] *= 1.0 - a
-            start = y[0] * a ** np.arange(len(y))
-            rest = y - start
-            if slopes:
-                offset = self.offset[o, self.places[stretch.flight]]
-                simulated = self.B[o] @ x[: self.s] + offset * x[self.s] + start
-                rest = y - simulated
-                by_a = lfilter([0.0, 1.0], [1.0, -a], simulated - offset)
-                x = np.vstack([x[: self.s + 1], by_a, x[self.s + 1 :]])
-            own = stretch.own.copy()
-            own[: round(_UNKNOWN_S * self.rate_hz)] = False
-            yield np.vstack([rest, x]), own
+            effect = self.B[o] @ ((1.0 - q) * u + q * u * u)
+            slopes = [*(_lagged(h, effect) for h in moved), _lagged(taps, self.B[o] @ (u * u - u))]
+            x = self._followed(np.vstack([self._delayed(stretch, taps, q), *slopes]), a)
+            offset = self.offset[o, self.places[stretch.flight]]
+            simulated = self.B[o] @ x[: self.s] + offset * x[self.s] + y[0] * a ** np.arange(len(y))
+            by_a = lfilter([0.0, 1.0], [1.0, -a], simulated - offset)
+            yield np.vstack([y - simulated, x[: self.s + 1], by_a, x[self.s + 1 :]]), self._counted(stretch)
 
     def _moved_taps(self, length: int) -> list[FloatArray]:
         """Return the derivatives of the taps with respect to delay, lag and filter."""
@@ -413,7 +427,7 @@ class _Descent:
         blocks = np.cumsum([0, *(ceil(len(stretch.own) / (_BLOCK_S * self.rate_hz)) for stretch in self.stretches)])
         scores = np.zeros((blocks[-1], self.size))
         for o in np.flatnonzero(~self.silent).tolist():
-            parts = list(self._columns(o, slopes=True))
+            parts = list(self._columns(o))
             mean = sum(columns[0, own].sum() for columns, own in parts) / sum(own.sum() for _, own in parts)
             noise = autoregression([columns[0] - mean for columns, _ in parts], [own for _, own in parts], _ORDER)
             part = self._places_of(o)
