@@ -111,7 +111,7 @@ def _add_detectability(subparsers: Any) -> None:
     )
     parser.add_argument(
         "--sizes",
-        type=_numbers,
+        type=lambda text: tuple(map(_finite, _texts(text))),
         metavar="X,X",
         help="sizes in the channel's unit; of ramp and spoof: rates, per second (default: around the threshold)",
     )
@@ -202,10 +202,6 @@ def _positive(text: str) -> int:
 
 def _texts(text: str) -> Sequence[str]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
-
-
-def _numbers(text: str) -> Sequence[float]:
-    return tuple(_finite(part) for part in _texts(text))
 
 
 def _say(text: str) -> None:

@@ -123,12 +123,11 @@ def fit_profile(
     stage(f"identified, designed and calibrated {own.fitted.name}")
     further, refused = ((), own.refused) if own.refused else _further_observers(vehicle, own.request, own.gate, stage)
     observers = (own.fitted, *further)
-    warnings = (*_slow(vehicle, surveys, observers), *_hidden(surveys, observers)) if surveys else ()
     measured = observers
     if capability:
         measured = tuple(_measured(observer, own.request, kind, own.gate) for observer in observers)
         stage("measured what will be detected")
-    report = FitReport(kind, measured, refused, warnings)
+    report = FitReport(kind, measured, refused, _warnings(vehicle, surveys, observers))
     content = profile_content(
         name, kind, own.gate, report, common_identity(flight.identity for flight in read.surveyed)
     )
@@ -355,18 +354,18 @@ def replace_kept(path: Path, text: str) -> Path | None:
     return before
 
 
-def _hidden(surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
-    """Return what the sensors' own observer does not see because its measurements are corrected before it."""
-    channels = (channel for fitted in observers if fitted.name == OBSERVER for channel in fitted.source.channels)
-    return tuple(filter(None, (hidden(surveys, channels),)))
-
-
-def _slow(kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
+def _warnings(kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
+    """Return which messages come too seldom, and what the sensors' own observer does not see of corrected ones."""
+    if not surveys:
+        return ()
+    own = (channel for fitted in observers if fitted.name == OBSERVER for channel in fitted.source.channels)
+    unseen = hidden(surveys, own)
     channels = [channel for fitted in observers for channel in fitted.source.channels]
     slow = slow_messages([found.rate_hz for found in surveys], channels, kind.wanted_hz)
     onboard = all(found.onboard for found in surveys)
     commands_hz = slow.get(MOTOR_MESSAGE) if kind.name == "multirotor" else None
-    return (slow_text(slow, kind.wanted_hz, onboard=onboard, commands_hz=commands_hz),) if slow else ()
+    said = slow_text(slow, kind.wanted_hz, onboard=onboard, commands_hz=commands_hz) if slow else None
+    return tuple(filter(None, (said, unseen)))
 
 
 def _measured(fitted: Fitted, request: FitRequest, kind: str, gate: GateRule) -> Fitted:

@@ -70,7 +70,8 @@ def hinf_norm(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, discre
             break
         level = lower * (1.0 + _GAP * 10.0 ** max(0, step - _WIDEN_AFTER))
         crossings = _crossings(A, B, C / level, D / level, discrete)
-        highest, where = _highest(A, B, C, D, _with_middles(crossings), discrete)
+        between = 0.5 * (crossings[1:] + crossings[:-1])
+        highest, where = _highest(A, B, C, D, np.concatenate([crossings, between]), discrete)
         if highest > lower:
             lower, omega = highest, where
         if highest <= level:
@@ -144,8 +145,3 @@ def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, discr
     with np.errstate(over="ignore"):
         omega = np.abs((alpha[finite] / beta[finite]).imag)
     return np.unique(np.concatenate([omega[np.isfinite(omega)], [0.0]]))
-
-
-def _with_middles(omega: FloatArray) -> FloatArray:
-    """Return sorted frequencies, the middles of neighbours and a point beyond the last."""
-    return np.concatenate([omega, 0.5 * (omega[1:] + omega[:-1]), [omega[-1]]])

@@ -67,7 +67,7 @@ def excitation_verdicts(
             )
         elif not determined:
             note = _advice(driving, movement)
-        elif _at_bound(value, parameter):
+        elif min(value - parameter.low, parameter.high - value) <= _AT_BOUND * parameter.size:
             note = "it ends at its bound: widen 'min' and 'max' if that is physical, else the model lacks something"
         verdicts.append(ExcitationVerdict(parameter.name, value, error, determined, note))
     return tuple(verdicts)
@@ -80,11 +80,6 @@ def _partners(covariance: FloatArray, errors: FloatArray, j: int, parameters: Se
     return [
         f"'{parameters[i].name}'" for i in finite if abs(covariance[i, j]) > _TOGETHER * float(errors[i] * errors[j])
     ]
-
-
-def _at_bound(value: float, parameter: Parameter) -> bool:
-    near = _AT_BOUND * parameter.size
-    return value - parameter.low <= near or parameter.high - value <= near
 
 
 def _advice(driving: Sequence[str], movement: Mapping[str, float]) -> str:
@@ -102,12 +97,8 @@ def _driving(dynamics: Callable[[FloatArray], Dynamics], theta: FloatArray, j: i
     a, b = dynamics(theta), dynamics(theta + step)
     touched = (a.A != b.A).any(axis=0) | (a.C != b.C).any(axis=0)
     for i, (before, after) in enumerate(zip(a.rows, b.rows, strict=True)):
-        if (a.G[:, i] != b.G[:, i]).any() or (before != after).any() or _named_in(model, i, j):
+        named = model.parameters[j].name in model.words_of(i)  # its own expression names it
+        if (a.G[:, i] != b.G[:, i]).any() or (before != after).any() or named:
             touched |= (after != 0.0).any(axis=0)
     driven = (a.B != b.B).any(axis=0) | (a.curves != b.curves).any(axis=1)
     return [states[i] for i in np.flatnonzero(touched)] + [inputs[i] for i in np.flatnonzero(driven)]
-
-
-def _named_in(model: FreeModel, term: int, j: int) -> bool:
-    """Return whether a nonlinearity's own expression names the parameter."""
-    return model.parameters[j].name in model.words_of(term)

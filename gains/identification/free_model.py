@@ -205,9 +205,7 @@ def _resolved(document: Mapping[str, Any], named: Mapping[str, float], used: set
     for key in ("offset", "error"):
         resolved[key] = _each(resolved.get(key, {}), number)
     if "curves" in resolved:
-        resolved["curves"] = _each(
-            resolved["curves"], lambda curve: _each(curve, number) if _is_row(curve) else number(curve)
-        )
+        resolved["curves"] = _each(resolved["curves"], lambda curve: number(_each(curve, number)))
     for key in ("nonlinearity", "fault", "disturbance", "noise"):
         if key in resolved and _tables(resolved, key):
             resolved[key] = [_resolved_term(table, named, number.used) for table in resolved[key]]
@@ -266,18 +264,12 @@ def _each(value: Any, change: Callable[[Any], Any]) -> Any:
     return [change(entry) for entry in value] if isinstance(value, list) else value
 
 
-def _is_row(value: Any) -> bool:
-    return isinstance(value, Mapping | list)
-
-
 def _tables(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
     tables = document.get(key, [])
     return tables if isinstance(tables, list) and all(isinstance(table, Mapping) for table in tables) else []
 
 
-@functools.lru_cache(maxsize=1024)
-def _compiled(text: str, names: tuple[str, ...]) -> Callable[..., float]:
-    return compile_expression(text, names)
+_compiled = functools.lru_cache(maxsize=1024)(compile_expression)
 
 
 @functools.lru_cache(maxsize=1024)

@@ -62,7 +62,8 @@ def fit_noise_scales(A: FloatArray, C: FloatArray, E: FloatArray, D: FloatArray,
     from scipy.optimize import minimize
 
     size = np.maximum(np.sqrt((residuals**2).mean(axis=(0, 1))), 1e-12)
-    reference = np.concatenate([_effect_one(A, C, E, size, residuals.shape[1]), _noise_one(D, size)])
+    noise_one = 1.0 / np.maximum(np.sqrt(np.mean((D / size[:, None]) ** 2, axis=0)), 1e-100)
+    reference = np.concatenate([_effect_one(A, C, E, size, residuals.shape[1]), noise_one])
     floor = np.diag((_FLOOR * size) ** 2)
     q = E.shape[1]
 
@@ -98,10 +99,6 @@ def _effect_one(A: FloatArray, C: FloatArray, E: FloatArray, size: FloatArray, s
         if not np.isfinite(energy).all() or energy.max(initial=0.0) > 1e200:
             break
     return np.asarray(1.0 / np.sqrt(np.maximum(np.nan_to_num(energy, posinf=1e200), 1e-200)))
-
-
-def _noise_one(D: FloatArray, size: FloatArray) -> FloatArray:
-    return np.asarray(1.0 / np.maximum(np.sqrt(np.mean((D / size[:, None]) ** 2, axis=0)), 1e-100))
 
 
 def _kalman(

@@ -159,13 +159,13 @@ class Shooting:
         if self._at is not None and np.array_equal(theta, self._at):
             return self._found
         stepper = self._stepper(theta)
-        x = self._first_guess(stepper) if self.x is None else self.x
+        x = self._windows.y[:, 0] @ np.linalg.pinv(stepper.C_T[0]) if self.x is None else self.x
         current = self._linearised(stepper, theta, x)
         for _ in range(_SWEEPS):
             if not np.isfinite(current.states).all():
                 break
             J_0, e = self._weighted(current.states), self._whitened(current.errors).reshape(len(x), -1, 1)
-            step = _least_squares(J_0, e)[..., 0]
+            step = (np.linalg.pinv(J_0, rcond=_RANK) @ e)[..., 0]
             moved = self._linearised(stepper, theta, x - step)
             if not self._cost(moved) < self._cost(current):
                 break
@@ -194,9 +194,6 @@ class Shooting:
             slopes = np.moveaxis(e[1:] - e[0], 0, -1) / np.concatenate([self._steps, steps])
         return Sensitivities(e[0], slopes[..., :k], slopes[..., k : k + n])
 
-    def _first_guess(self, stepper: Stepper) -> FloatArray:
-        return np.asarray(self._windows.y[:, 0] @ np.linalg.pinv(stepper.C_T[0]))
-
     def _cost(self, sensitivities: Sensitivities) -> float:
         with np.errstate(all="ignore"):
             cost = float(np.sum(self._whitened(sensitivities.errors) ** 2))
@@ -216,7 +213,3 @@ def _range(matrices: FloatArray) -> FloatArray:
     """Return orthonormal bases of the columns of each matrix; columns that are none become zero."""
     left, singular, _ = np.linalg.svd(matrices, full_matrices=False)
     return np.asarray(left * (singular > _RANK * singular[:, :1])[:, None, :])
-
-
-def _least_squares(J: FloatArray, e: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.pinv(J, rcond=_RANK) @ e)

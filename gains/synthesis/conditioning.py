@@ -75,7 +75,9 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: flo
     try:
         for _ in range(_FLOOR_SWEEPS):
             floor = FLOOR**2 * (np.diag(C @ np.diag(variance) @ C.T) + np.diag(R))
-            Sigma = _riccati(A, C, Q + FLOOR**2 * np.diag(variance), S, R + np.diag(floor))
+            inverse = np.linalg.inv(R + np.diag(floor))
+            remainder = Q + FLOOR**2 * np.diag(variance) - S @ inverse @ S.T
+            Sigma = doubled((A - S @ inverse @ C).T, C.T @ inverse @ C, remainder)
             previous, variance = variance, np.maximum(np.diag(Sigma), smallest)
             if np.allclose(variance, previous, rtol=0.2, atol=0.0):
                 break
@@ -110,15 +112,6 @@ def with_floor(model: ErrorModel, S: FloatArray, Y: FloatArray) -> ErrorModel:
         direct=np.pad(model.direct, ((0, 0), (0, na + p))),
         free=replace(model.free, B=np.pad(model.free.B, ((0, 0), (0, na + p)))),
     )
-
-
-def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: FloatArray) -> FloatArray:
-    """Return the stationary covariance of the one-step prediction by the structured doubling algorithm.
-
-    Q (na, na), R (p, p) and S (na, p) are the covariances of process and measurement noise and between them.
-    """
-    inverse = np.linalg.inv(R)
-    return doubled((A - S @ inverse @ C).T, C.T @ inverse @ C, Q - S @ inverse @ S.T)
 
 
 def doubled(X: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray:

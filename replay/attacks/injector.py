@@ -176,7 +176,11 @@ def _plant_plan(attack: Attack, observer: ObserverProfile, plant: Plant, fault: 
             raise UsageError(f"--kind {kind} does not go with {channel} of the profile; use {use}")
         if plant.nonlinearities and states is None:
             raise UsageError(f"--channel {channel}: {plant.name} is nonlinear; only its sensors can be put at fault")
-        response = PlantResponse(plant, fault, observer.source.inputs, _within(attack, size), states)
+
+        def acting(stamp_ns: int) -> float:
+            return size(stamp_ns) if attack.acts(stamp_ns) else 0.0
+
+        response = PlantResponse(plant, fault, observer.source.inputs, acting, states)
         moves = output_signals(plant, fault, response.at)
         if response.command is not None:
             targets.append(AttackTarget(channel_quantity(response.command), response.answer))
@@ -187,10 +191,6 @@ def _plant_plan(attack: Attack, observer: ObserverProfile, plant: Plant, fault: 
         for quantity, factor in alike(mapped[output]):
             targets.append(AttackTarget(quantity, _plus(move, factor), outlasts=response is not None))
     return Plan(tuple(targets), response, "share of the command" if kind == "loss" else fault.unit)
-
-
-def _within(attack: Attack, size: AttackSignal) -> AttackSignal:
-    return lambda stamp_ns: size(stamp_ns) if attack.acts(stamp_ns) else 0.0
 
 
 def _plus(signal: AttackSignal, factor: float = 1.0) -> Change:

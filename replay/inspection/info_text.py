@@ -118,19 +118,14 @@ def _vehicle(vehicle: Mapping[str, Any]) -> Iterator[str]:
             continue
         rate = "" if fit["rate_hz"] is None else f" at {fit['rate_hz']:.3g} Hz"
         yield from _listed(f"    {kind}{rate}: watches ", fit["watches"])
-        places = _grouped(fit["channels"].values())
-        yield from _listed("      from ", places)
+        messages = dict.fromkeys(place.partition(".")[0] for place in fit["channels"].values())
+        yield from _listed("      from ", list(messages))
         for fact in fit["facts"]:
             yield from _listed("      ", fact.split(" "), " ")
         if fit["hides"]:
             yield from _listed("      hides some: ", fit["hides"].split(" "), " ")
         for missing in fit["missing"]:
             yield from _listed("      lacks ", missing.split(" "), " ")
-
-
-def _grouped(places: Any) -> list[str]:
-    """Return the messages that channels come from, each once."""
-    return list(dict.fromkeys(place.partition(".")[0] for place in places))
 
 
 def _profile(content: Mapping[str, Any]) -> Iterator[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +18,7 @@ from adapters.logs.recordings import Recording, recorded_alarms, recorded_metada
 from adapters.mavlink.heartbeat import ARMED, enumerated, is_autopilot_heartbeat
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
+from monitor.bus.alarm_text import utc
 from monitor.event import AlarmEvent
 from monitor.fitting.flight_rate import FlightRate
 from monitor.fitting.flights import phase_reports
@@ -148,7 +148,8 @@ def _note(sender: _Sender, message: Message) -> None:
     fields = message.fields
     own = is_autopilot_heartbeat(message)
     if own or sender.autopilot is None:
-        sender.type, sender.autopilot = (_whole(fields.get(name)) for name in ("type", "autopilot"))
+        said = (fields.get(name) for name in ("type", "autopilot"))
+        sender.type, sender.autopilot = (value if type(value) is int else None for value in said)
     mode = fields.get("base_mode")
     if not own or not isinstance(mode, int):
         return
@@ -159,10 +160,6 @@ def _note(sender: _Sender, message: Message) -> None:
             return  # written late, as onboard logs do: no time has passed
         sender.armed_ns += step_ns if 0 < step_ns < _SILENCE_NS else 0
     sender.armed_since_ns = message.received_ns if mode & ARMED else None
-
-
-def _whole(value: Any) -> int | None:
-    return value if type(value) is int else None
 
 
 def log_info(path: Path) -> dict[str, Any]:
@@ -183,7 +180,7 @@ def log_info(path: Path) -> dict[str, Any]:
         "kind": "recording",
         "format": kind,
         "start_ns": first_ns,
-        "start": None if first_ns is None else _moment(first_ns),
+        "start": None if first_ns is None else f"{utc(first_ns)[:19]}Z",
         "duration_s": 0.0 if first_ns is None else (tally.last_ns - first_ns) / 1e9,
         "count": tally.counts.total(),
         "messages": {name: _message(name, tally, surveyed) for name in sorted(tally.counts)},
@@ -197,10 +194,6 @@ def log_info(path: Path) -> dict[str, Any]:
     }
 
 
-def _moment(time_ns: int) -> str:
-    return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).isoformat().replace("+00:00", "Z")
-
-
 def _message(name: str, tally: _Tally, surveyed: Survey) -> dict[str, Any]:
     """Return count and rate: on the vehicle's clock where the message has a time, else as it arrived."""
     count = tally.counts[name]
@@ -212,16 +205,12 @@ def _system(number: int, sender: _Sender) -> dict[str, Any]:
     return {
         "system": number,
         "components": sorted(sender.components),
-        "type": _enumerated("MAV_TYPE", sender.type),
-        "autopilot": _enumerated("MAV_AUTOPILOT", sender.autopilot),
+        "type": None if sender.type is None else enumerated("MAV_TYPE", sender.type),
+        "autopilot": None if sender.autopilot is None else enumerated("MAV_AUTOPILOT", sender.autopilot),
         "messages": sender.messages,
         "heartbeats": sender.heartbeats,
         "armed_s": sender.armed_ns / 1e9,
     }
-
-
-def _enumerated(enumeration: str, number: int | None) -> str | None:
-    return None if number is None else enumerated(enumeration, number)
 
 
 def _fits(surveyed: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[str, Any] | None:

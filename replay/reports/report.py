@@ -62,6 +62,7 @@ def recording_report(run: Run) -> str:
     watched_s = {name: watch.watched_s for name, watch in replay.watches.items()}
     watched = watched_channels(run.profile, run.folder, replay.traces, watched_s, results)
     view = RunView(replay.traces, replay.events, replay.thresholds, run.truth, effects(run.profile))
+    left = unchecked(run.profile, replay, run.recording, results, run.damage)
     charts = Charts(view)
     return page(
         f"{run.vehicle}: {run.log.name}",
@@ -71,7 +72,7 @@ def recording_report(run: Run) -> str:
         *_flight(run, results, charts),
         *_conditions(run),
         section("What was watched", *_watched(run, results, watched)),
-        section("What could not be checked, and why", _unchecked(run, results)),
+        section("What could not be checked, and why", table(("not checked", "why"), left)),
         folded("All channels, residuals and inputs", *_all_charts(run, charts)),
         folded("The recording", *_recording(run)),
         folded("How this was made", _made(run)),
@@ -88,7 +89,7 @@ def _header(run: Run, results: Sequence[Finding]) -> Html:
     words = run_sentence(results, run.facts) if results else run.verdict
     return joined_html(
         [
-            element("div", _sentence(words), class_=f"verdict {mark}".strip()),
+            element("div", f"{words[:1].upper()}{words[1:]}.", class_=f"verdict {mark}".strip()),
             element("p", f"{when} · {span_text(run.recording.duration_s)} · {run.profile.vehicle}", class_="note"),
         ]
     )
@@ -250,10 +251,6 @@ def _conditions(run: Run) -> Iterator[Html]:
         yield section("What is no fault", table(("from", "what"), rows))
 
 
-def _unchecked(run: Run, results: Sequence[Finding]) -> Html:
-    return table(("not checked", "why"), unchecked(run.profile, run.replay, run.recording, results, run.damage))
-
-
 def _recording(run: Run) -> Iterator[Html]:
     recording = run.recording
     yield facts(
@@ -330,10 +327,6 @@ def _moment(run: Run, unix_ns: int, vehicle_ns: int) -> str:
     zero_ns = origin_ns(run.replay.traces)
     shown = f"{(vehicle_ns - zero_ns) / 1e9:.1f} s in the charts, " if zero_ns else ""
     return f"{utc(unix_ns)} ({shown}vehicle's clock {vehicle_ns / 1e9:.1f} s)"
-
-
-def _sentence(words: str) -> str:
-    return words[:1].upper() + words[1:] + "."
 
 
 def _bytes(path: Path) -> str:

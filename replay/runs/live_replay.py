@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from itertools import pairwise
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
@@ -60,7 +60,7 @@ class LiveReplay:
             raise UsageError(f"--speed {speed:g}: has to be positive")
         self._speed = speed
         self._prefix = prefix
-        self._on_event = on_event or _nothing
+        self._on_event = on_event or (lambda _: None)
         self._session: zenoh.Session | None = None
         self._socket: socket.socket | None = None
         self._to: Address | None = None
@@ -150,13 +150,9 @@ def _await_subscriber(session: zenoh.Session, key: str) -> None:
     """Give those who wait for this session to come up the time to connect."""
     until = time.monotonic() + _SUBSCRIBER_S
     with session.declare_publisher(key) as probe:
-        while not _matches(probe) and time.monotonic() < until:
+        # Zenoh's type stub calls the status a bool; it is an object
+        while not cast("Any", probe.matching_status).matching and time.monotonic() < until:
             time.sleep(0.01)
-
-
-def _matches(publisher: Any) -> bool:
-    # Zenoh's type stub calls it a bool; it is an object.
-    return bool(publisher.matching_status.matching)
 
 
 def _since(received_ns: int) -> Callable[[], int]:
@@ -170,7 +166,3 @@ def _address(url: str) -> Address:
     if kind not in ("udp", "udpout"):
         raise UsageError(f"--udp {url}: use udp:HOST:PORT")
     return resolve(f"--udp {url}", rest)
-
-
-def _nothing(event: AlarmEvent) -> None:
-    del event

@@ -78,7 +78,8 @@ def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: b
 
 def forbid_overwriting(logs: Sequence[LogFile], targets: Sequence[Path]) -> None:
     """Raise StorageError where one of the files that will be written is one of the logs."""
-    read = {path.resolve() for log in logs for path in (log.path, *_files(log.path))}
+    parts = (path for log in logs if log.path.is_dir() for path in session_files(log.path))
+    read = {path.resolve() for path in (*(log.path for log in logs), *parts)}
     for path in targets:
         if path.resolve() in read:
             raise StorageError(f"{path}: is one of the logs and would be overwritten; write somewhere else")
@@ -101,10 +102,6 @@ def check_output_folder(folder: Path) -> None:
         raise StorageError(f"{folder}: {there} is a file; name a folder to write")
     if not os.access(there, os.W_OK):
         raise StorageError(f"{folder}: this user may not write to {there}; choose another place")
-
-
-def _files(path: Path) -> Sequence[Path]:
-    return session_files(path) if path.is_dir() else ()
 
 
 def _below(folder: Path) -> list[Path]:

@@ -114,7 +114,13 @@ def play_healthy(profile: Profile, recorded: Iterable[Batch]) -> Healthy:
                 alarms_ns.append(output.vehicle_time_ms * 1_000_000)
     estimated = {name: runs for name, runs in estimates.items() if runs}
     system = pipeline.system
-    own = [_of_system(batch, system) for batch in batches]
+    own = [
+        gathered(
+            [columns for columns in batch.columns if columns.system == system],
+            {at: message for at, message in batch.others.items() if message.system == system},
+        )
+        for batch in batches
+    ]
     return Healthy(
         batches=own,
         newest_ns=_newest_ns(profile, own),
@@ -125,11 +131,6 @@ def play_healthy(profile: Profile, recorded: Iterable[Batch]) -> Healthy:
         states={name: np.concatenate([run.x for run in runs]) for name, runs in estimated.items()},
         alarms_ns=alarms_ns,
     )
-
-
-def _of_system(batch: Batch, system: int) -> Batch:
-    columns = [columns for columns in batch.columns if columns.system == system]
-    return gathered(columns, {at: message for at, message in batch.others.items() if message.system == system})
 
 
 def _newest_ns(profile: Profile, batches: Iterable[Batch]) -> list[NDArray[np.int64]]:
