@@ -62,21 +62,26 @@ _INSIDE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Demands:
+    """What is asked of a design, as for :func:`gains.synthesis.convex.design_convex`."""
+
+    gain_weight: float
+    pole_radius: float = 1.0
+    h2: float = 0.0
+    P: FloatArray | None = None  # the Lyapunov matrix where it is given, in the user's units
+    gain_bound: float = np.inf  # of the entries of the gains, in the user's units
+    looseness: float = 1.0  # by how much [Kb; L_i] may exceed it
+    free: bool = True  # whether the left inverse is found with the gains
+    multipliers: bool = False  # whether one inequality stands for all vertices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Inequality:
     """The error system in the coordinates of the solver, and what is asked of it."""
 
     name: str  # the plant's name, for errors
     a1: int  # number of actuator faults
-    # as for :func:`gains.synthesis.convex.design_convex`
-    pole_radius: float
-    gain_weight: float
-    h2: float
-    P: FloatArray | None  # the Lyapunov matrix where it is given, in the user's units
-    multipliers: bool  # whether one inequality stands for all vertices
-    # bound of the entries of the gains in the user's units, infinite without one, and by how much [Kb; L_i] may exceed
-    # it
-    gain_bound: float
-    looseness: float
+    asked: Demands
     coordinates: Coordinates  # those of the solver
     direct: FloatArray  # size of L_p in the user's units, for outputs in the solver's (a1,)
     into: FloatArray  # [L1; L_q] E_f of the pseudo-inverse (na, a1), in the user's units
@@ -111,24 +116,10 @@ class Solution:
     multipliers: FloatArray
 
 
-def inequality(
-    model: ErrorModel,
-    coordinates: Coordinates,
-    *,
-    gain_weight: float,
-    multipliers: bool = False,
-    pole_radius: float = 1.0,
-    h2: float = 0.0,
-    P: FloatArray | None = None,
-    gain_bound: float = np.inf,
-    looseness: float = 1.0,
-    omega: float | None = None,
-    free: bool = True,
-) -> Inequality:
+def inequality(model: ErrorModel, coordinates: Coordinates, asked: Demands, omega: float | None = None) -> Inequality:
     """Return the model in the solver's coordinates, with as few columns as matter; discrete, with the floor of noise.
 
-    The options are those of :class:`Inequality`; the model is one at every vertex unless there are multipliers, and one
-    in continuous time where there is ``omega``. Its left inverse stays unless it is ``free``.
+    The model is one at every vertex unless there are multipliers, and one in continuous time where there is ``omega``.
     """
     S, Y = coordinates.S, coordinates.Y
     nz = len(model.weights) - model.a1
@@ -136,7 +127,7 @@ def inequality(
     rows = driven.free
     seen = np.hstack([rows.mean @ S, rows.B]) / pace
     left, singular, _ = np.linalg.svd(seen, full_matrices=False)
-    kept = singular > _NO_ROW * np.max(singular, initial=0.0) if free else np.zeros(len(singular), dtype=np.bool_)
+    kept = singular > _NO_ROW * np.max(singular, initial=0.0) if asked.free else np.zeros(len(singular), dtype=np.bool_)
     basis = (left[:, kept] / singular[kept]).T
     weights = model.weights[:, None] / np.sqrt(coordinates.mu)
     errors = weights * S[: len(model.weights)]
@@ -145,26 +136,20 @@ def inequality(
     left, singular, _ = np.linalg.svd(np.vstack(enters), full_matrices=False)
     columns = (left * singular)[:, singular > np.finfo(np.float64).eps * singular[0]]
     B, D, D_x, free_B = np.split(columns, np.cumsum([len(block) for block in enters])[:-1])
-    used = slice(None) if multipliers else slice(0)
+    used = slice(None) if asked.multipliers else slice(0)
     G = np.asarray(np.linalg.solve(S, model.G[:, used]), dtype=np.float64)
     H = model.H[used] @ S
     balance = np.linalg.norm(H, axis=1) / np.linalg.norm(G, axis=0)
-    dynamics = model.mean[None] if multipliers else model.A
+    dynamics = model.mean[None] if asked.multipliers else model.A
     return Inequality(
         name=model.name,
         a1=model.a1,
-        pole_radius=pole_radius,
-        gain_weight=gain_weight,
-        h2=h2,
-        P=P,
-        multipliers=multipliers,
-        gain_bound=gain_bound,
-        looseness=looseness,
+        asked=asked,
         coordinates=coordinates,
         direct=np.sqrt(coordinates.mu) / model.weights[nz:],
         into=model.into,
         free=FreeRows(
-            A=basis @ (rows.mean[None] if multipliers else rows.A) @ S / pace,
+            A=basis @ (rows.mean[None] if asked.multipliers else rows.A) @ S / pace,
             mean=basis @ rows.mean @ S / pace,
             B=free_B,
             G=basis @ rows.G[:, used] * np.sqrt(balance),
@@ -231,22 +216,22 @@ def solve_bounded_real(problem: Inequality, fixed: tuple[float, float] | None = 
     for vertex in range(len(problem.A)):
         PA = _moved(problem, x, vertex)
         constraints.append(_bounded_real(problem, x, PA, slack))
-        if problem.pole_radius < 1.0:
+        if problem.asked.pole_radius < 1.0:
             constraints.append(_decaying(problem, x, PA, slack))
-    share = problem.h2
+    share = problem.asked.h2
     noise_energy: Any = 0.0
     if share > 0.0:
         noise_energy, holds = _noise_energy(problem, x)
         constraints.append(holds)
         if fixed is not None:
             constraints.append(noise_energy <= fixed[1])
-    if problem.gain_bound < np.inf:
+    if problem.asked.gain_bound < np.inf:
         constraints += _bounded(problem, x.P, x.R, x.L_p)
     if fixed is None:
         gain_energy, holds = _gain_energy(problem, x)
         constraints.append(holds)
         worst_case = max(1.0 - share, _LEAST_MU_WEIGHT) * x.mu
-        objective = cp.Minimize(worst_case + share * noise_energy + problem.gain_weight * gain_energy)
+        objective = cp.Minimize(worst_case + share * noise_energy + problem.asked.gain_weight * gain_energy)
     else:
         objective = cp.Maximize(margin)
     program = cp.Problem(objective, constraints)
@@ -283,7 +268,7 @@ def solve_continuous(problem: Inequality, low: float, high: float) -> tuple[Solu
             constraints.append(inside - 2.0 * low / problem.omega * x.P >> 0)
         if high < np.inf:
             constraints.append(2.0 * high / problem.omega * x.P - inside >> 0)
-    program = cp.Problem(cp.Minimize(x.mu + problem.gain_weight * gain_energy), constraints)
+    program = cp.Problem(cp.Minimize(x.mu + problem.asked.gain_weight * gain_energy), constraints)
     seconds = solve_program(program, DEFAULT, ROBUST)
     if program.status == cp.INFEASIBLE:
         asked = "" if (low, high) == (0.0, np.inf) else f" at rates from {low:g} to {high:g} rad/s"
@@ -297,7 +282,7 @@ def _unknowns(problem: Inequality) -> _Unknowns:
 
     (na, _), p, a1, k, free = problem.B.shape, len(problem.C), problem.a1, len(problem.H), len(problem.basis)
     S = problem.coordinates.S
-    given = None if problem.P is None else S.T @ problem.P @ S / problem.coordinates.mu
+    given = None if problem.asked.P is None else S.T @ problem.asked.P @ S / problem.coordinates.mu
     P = cp.Variable((na, na), symmetric=True) if given is None else cp.Constant(given)
     R, L_p = cp.Variable((na, p)), cp.Variable((a1, p)) if a1 else None
     Yb = cp.Variable((na, free)) if free else None
@@ -348,7 +333,7 @@ def _decaying(problem: Inequality, x: _Unknowns, PA: Any, slack: Any) -> Any:
     """Return [P, P A; *, r^2 P] >= 0 at one vertex, or at the mean with multipliers: poles within r."""
     import cvxpy as cp
 
-    rows = [[x.P, PA], [PA.T, problem.pole_radius**2 * x.P]]
+    rows = [[x.P, PA], [PA.T, problem.asked.pole_radius**2 * x.P]]
     return cp.bmat(_sloped(rows, x.PG, problem.H, x.decay)) >> slack * np.eye(2 * len(problem.B) + len(problem.H))
 
 
@@ -426,28 +411,28 @@ def _bounded(problem: Inequality, P: Any, R: Any, L_p: Any) -> list[Any]:
     """
     import cvxpy as cp
 
-    p, bound, none = R.shape[1], problem.gain_bound * (1.0 - _INSIDE), np.zeros((0, R.shape[1]))
-    if problem.P is not None:
+    p, bound, none = R.shape[1], problem.asked.gain_bound * (1.0 - _INSIDE), np.zeros((0, R.shape[1]))
+    if problem.asked.P is not None:
         entries = user_gains(problem, np.linalg.inv(P.value) @ R, none if L_p is None else L_p)
         return [cp.abs(gain) <= bound for gain in entries if gain.shape[0]]
     S, inverse = problem.coordinates.S, np.linalg.inv(problem.coordinates.Y)
     size = np.linalg.norm(S, 2)
     V, kappa = cp.Variable((p, p), symmetric=True), cp.Variable()
     constraints = [cp.bmat([[V, R.T], [R, P]]) >> 0, P - kappa * (S.T @ S / size**2) >> 0]
-    constraints += [column @ V @ column <= kappa for column in (inverse * (size / (problem.looseness * bound))).T]
+    constraints += [column @ V @ column <= kappa for column in (inverse * (size / (problem.asked.looseness * bound))).T]
     if L_p is not None:
-        constraints.append(cp.abs(np.diag(problem.direct / bound) @ L_p @ inverse) <= min(problem.looseness, 1.0))
+        constraints.append(cp.abs(np.diag(problem.direct / bound) @ L_p @ inverse) <= min(problem.asked.looseness, 1.0))
     return constraints
 
 
 def _reason(problem: Inequality, asked: str = "") -> str:
-    asked += "" if problem.pole_radius == 1.0 else f" with all poles within {problem.pole_radius:g}"
-    if problem.P is not None:
+    asked += "" if problem.asked.pole_radius == 1.0 else f" with all poles within {problem.asked.pole_radius:g}"
+    if problem.asked.P is not None:
         return (
             f"{problem.name}: no gains prove themselves{asked} with the Lyapunov matrix that was given: design "
             "the one that it comes from for what the other is asked too, or ask for less"
         )
-    if problem.multipliers:
+    if problem.asked.multipliers:
         asked += ", by one proof for all at once"
     return (
         f"{problem.name}: no gains make the error decay for every slope{asked}: narrow the slopes (give the "

@@ -24,7 +24,7 @@ from gains.analysis.augment import ErrorModel, augment, error_model
 from gains.analysis.estimability import check_existence
 from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.bounded_real import inequality, solve_continuous, user_design
+from gains.synthesis.bounded_real import Demands, inequality, solve_continuous, user_design
 from gains.synthesis.certificate import ClosedErrorSystem, certify, closed_error_system
 from gains.synthesis.conditioning import FLOOR, Coordinates, doubled
 from gains.synthesis.continuous_observer import check_continuous
@@ -79,7 +79,7 @@ def design_continuous(
     model = error_model(plant, augmentation)
     notes = check_existence(plant)
     coordinates, omega = _coordinates(model, low)
-    problem = inequality(model, coordinates, gain_weight=gain_weight, omega=omega)
+    problem = inequality(model, coordinates, Demands(gain_weight), omega)
     solution, solve_s = solve_continuous(problem, low, high)
     if solution is None:
         raise InaccurateError(f"{plant.name}: the solver found neither gains nor a proof that there are none")

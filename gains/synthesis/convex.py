@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,9 +28,9 @@ from gains.analysis.augment import LARGEST_VERTEX_COUNT, Augmentation, ErrorMode
 from gains.analysis.estimability import check_existence
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.bounded_real import Inequality, Solution, inequality, solve_bounded_real, user_design
+from gains.synthesis.bounded_real import Demands, Inequality, Solution, inequality, solve_bounded_real, user_design
 from gains.synthesis.certificate import certify
-from gains.synthesis.conditioning import kalman_coordinates
+from gains.synthesis.conditioning import Coordinates, kalman_coordinates
 from gains.synthesis.design import Design, ObserverMatrices, observer_matrices
 from gains.synthesis.riccati import riccati_proofs
 
@@ -147,42 +148,10 @@ def design_convex(
     # A chain of integrators hides the same modes as one: what exists for order 1 exists for order 2.
     notes = check_existence(discrete, sampled=sampled)
     model = error_model(discrete, augmentation, integrator_order, sampled=sampled)
-
-    def bounded(bound: float, looseness: float = 1.0, caution: float = 0.0) -> Design:
-        coordinates = kalman_coordinates(model, pole_radius, caution)
-        free = free_inverse and P is None and inverse is None and gain_bound is None
-        # the pseudo-inverse has fewer unknowns: what stops the solver short with them may go without
-        for freed in (True, False) if free else (False,):
-            pose = partial(
-                inequality,
-                model,
-                coordinates,
-                pole_radius=pole_radius,
-                gain_weight=gain_weight,
-                h2=h2,
-                P=P,
-                gain_bound=bound,
-                free=freed,
-                looseness=looseness,
-            )
-            try:
-                return _searched(discrete, augmentation, _problems(pose, model, vertices, too_many))
-            except InaccurateError:
-                if freed:
-                    continue
-                if P is not None or len(model.A) > 1:
-                    raise
-                design = _by_riccati(discrete, augmentation, model, pole_radius, bound)
-                if design is None:
-                    raise
-                return design
-        raise AssertionError
-
-    if gain_bound is None:
-        design = bounded(np.inf)
-    else:
-        ladder = itertools.product(_CAUTION, _LOOSENESS) if P is None else [(0.0, 1.0)]
-        design = _within(plant.name, gain_bound, bounded, ladder)
+    free = free_inverse and P is None and inverse is None and gain_bound is None
+    asked = Demands(gain_weight, pole_radius, h2, P, free=free)
+    search = _Search(discrete, augmentation, model, vertices, too_many)
+    design = _bounded(search, asked) if gain_bound is None else _within(search, asked, gain_bound)
     return replace(design, total_s=time.perf_counter() - started, notes=(*notes, *design.notes))
 
 
@@ -203,21 +172,54 @@ def _wrong_option(
     return None
 
 
-def _problems(
-    pose: Callable[..., Inequality], model: ErrorModel, vertices: bool | None, too_many: bool
-) -> tuple[Inequality, ...]:
+class _Search(NamedTuple):
+    """What all attempts at a design share: the sampled plant, its errors, and which slopes are looked at how."""
+
+    plant: Plant
+    augmentation: Augmentation
+    model: ErrorModel
+    vertices: bool | None  # as for :func:`design_convex`
+    too_many: bool  # to be enumerated
+
+
+def _bounded(search: _Search, asked: Demands, caution: float = 0.0) -> Design:
+    """Return the first certified design, as much noise added to the outputs as ``caution`` says.
+
+    Raises
+    ------
+    InfeasibleError, InaccurateError
+        There is none.
+    """
+    coordinates = kalman_coordinates(search.model, asked.pole_radius, caution)
+    if asked.free:
+        # the pseudo-inverse has fewer unknowns: what stops the solver short with them may go without
+        with suppress(InaccurateError):
+            return _searched(search, _problems(search, coordinates, asked))
+        asked = replace(asked, free=False)
+    try:
+        return _searched(search, _problems(search, coordinates, asked))
+    except InaccurateError:
+        linear = asked.P is None and len(search.model.A) == 1
+        design = _by_riccati(search, asked) if linear else None
+        if design is None:
+            raise
+        return design
+
+
+def _problems(search: _Search, coordinates: Coordinates, asked: Demands) -> tuple[Inequality, ...]:
     """Return the inequalities to try in turn: with multipliers where asked for or the size demands, with vertices."""
-    if len(model.A) == 1:
-        return (pose(multipliers=False),)
-    if vertices is False or too_many:
-        return (pose(multipliers=True),)
-    plain = pose(multipliers=False)
-    size = 2 * len(plain.B) + plain.B.shape[1] + plain.a1
-    large = len(model.A) * size * (size + 1) // 2 > _LARGEST_CONE
-    return (pose(multipliers=True), plain) if vertices is None and large else (plain,)
+    model = search.model
+    plain, at_once = (replace(asked, multipliers=multipliers) for multipliers in (False, True))
+    if len(model.A) > 1 and (search.vertices is False or search.too_many):
+        return (inequality(model, coordinates, at_once),)
+    problem = inequality(model, coordinates, plain)
+    size = 2 * len(problem.B) + problem.B.shape[1] + problem.a1
+    if len(model.A) == 1 or search.vertices or len(model.A) * size * (size + 1) // 2 <= _LARGEST_CONE:
+        return (problem,)
+    return inequality(model, coordinates, at_once), problem
 
 
-def _within(name: str, bound: float, bounded: Callable[..., Design], ladder: Iterable[tuple[float, float]]) -> Design:
+def _within(search: _Search, asked: Demands, bound: float) -> Design:
     """Return the first design whose gains are within their bound: without any condition, then along the ladder.
 
     Raises
@@ -225,25 +227,25 @@ def _within(name: str, bound: float, bounded: Callable[..., Design], ladder: Ite
     InfeasibleError
         None of them is.
     """
-    design = bounded(np.inf)
+    design = _bounded(search, asked)
     smallest, solve_s = design.gains.gain_max_abs, design.solve_s
-    for caution, looseness in ladder:
+    for caution, looseness in itertools.product(_CAUTION, _LOOSENESS) if asked.P is None else [(0.0, 1.0)]:
         if design.gains.gain_max_abs <= bound:
             break
         try:
-            design = bounded(bound, looseness, caution)
+            design = _bounded(search, replace(asked, gain_bound=bound, looseness=looseness), caution)
         except InfeasibleError:
             continue
         smallest, solve_s = min(smallest, design.gains.gain_max_abs), solve_s + design.solve_s
     if design.gains.gain_max_abs <= bound:
         return replace(design, gain_bound=bound, solve_s=solve_s)
     raise InfeasibleError(
-        f"{name}: no gains within {bound:g} were found; the smallest that were are {smallest:.3g}: allow these, narrow "
-        "the slopes, or let faults move slower or poles be larger"
+        f"{search.model.name}: no gains within {bound:g} were found; the smallest that were are {smallest:.3g}: allow "
+        "these, narrow the slopes, or let faults move slower or poles be larger"
     )
 
 
-def _searched(plant: Plant, augmentation: Augmentation, problems: Sequence[Inequality]) -> Design:
+def _searched(search: _Search, problems: Sequence[Inequality]) -> Design:
     """Return the first certified design.
 
     Raises
@@ -254,24 +256,23 @@ def _searched(plant: Plant, augmentation: Augmentation, problems: Sequence[Inequ
     for problem in problems:
         try:
             for solution, solve_s in _solutions(problem):
-                design = _design(plant, augmentation, problem, solution)
-                if certify(plant, design).holds:
+                design = _design(search, problem, solution)
+                if certify(search.plant, design).holds:
                     return replace(design, solve_s=solve_s)
         except InfeasibleError:  # multipliers ask for more than the vertices: their failure proves nothing
             if problem is problems[-1]:
                 raise
     raise InaccurateError(
-        f"{plant.name}: the solver stopped short and no gains it found could be certified; "
+        f"{search.plant.name}: the solver stopped short and no gains it found could be certified; "
         "check units and scales, or relax the fault rates or the pole radius"
     )
 
 
-def _by_riccati(
-    plant: Plant, augmentation: Augmentation, model: ErrorModel, pole_radius: float, bound: float
-) -> Design | None:
+def _by_riccati(search: _Search, asked: Demands) -> Design | None:
     """Return a certified filter for a linear plant on which the solver stopped short; None where it proves nothing."""
+    plant, augmentation, model = search.plant, search.augmentation, search.model
     nz = len(augmentation.L1)
-    for injection, L_p, P, mu in riccati_proofs(model, kalman_coordinates(model, pole_radius)):
+    for injection, L_p, P, mu in riccati_proofs(model, kalman_coordinates(model, asked.pole_radius)):
         gains = injection - model.into @ L_p
         design = Design(
             method="convex",
@@ -279,11 +280,11 @@ def _by_riccati(
             gains=observer_matrices(augmentation, gains[:nz], gains[nz:], L_p),
             P=P,
             mu=mu,
-            pole_radius=pole_radius,
+            pole_radius=asked.pole_radius,
             noise_once=augmentation.noise_once,
             notes=("the solver stopped short; these are the gains of a filter, whose bound need not be the least",),
         )
-        if design.gains.gain_max_abs <= bound and certify(plant, design).holds:
+        if design.gains.gain_max_abs <= asked.gain_bound and certify(plant, design).holds:
             return design
     return None
 
@@ -299,26 +300,26 @@ def _solutions(problem: Inequality) -> Iterator[tuple[Solution, float]]:
         return
     yield best, solve_s
     # Where gains are bounded the next condition of the ladder is worth more than more slack.
-    for slack in _SLACKS if problem.gain_bound == np.inf else _SLACKS[:1]:
+    for slack in _SLACKS if problem.asked.gain_bound == np.inf else _SLACKS[:1]:
         solution, seconds = solve_bounded_real(problem, (best.mu * (1.0 + slack), best.noise_energy * (1.0 + slack)))
         solve_s += seconds
         if solution is not None:
             yield solution, solve_s
 
 
-def _design(plant: Plant, augmentation: Augmentation, problem: Inequality, solution: Solution) -> Design:
+def _design(search: _Search, problem: Inequality, solution: Solution) -> Design:
     """Return a solution as gains in the user's units, with mu raised by the smallest slack."""
-    mu = problem.coordinates.mu
+    mu, asked = problem.coordinates.mu, problem.asked
     inverse = np.linalg.inv(problem.coordinates.S)
     P = mu * inverse.T @ solution.P @ inverse
     return Design(
         method="convex",
-        rate_hz=plant.rate_hz,
-        gains=user_design(problem, solution, augmentation),
-        P=0.5 * (P + P.T) if problem.P is None else problem.P,
+        rate_hz=search.plant.rate_hz,
+        gains=user_design(problem, solution, search.augmentation),
+        P=0.5 * (P + P.T) if asked.P is None else asked.P,
         mu=mu * solution.mu * (1.0 + _SLACKS[0]),
-        multipliers=mu * solution.multipliers / problem.balance if problem.multipliers else None,
-        pole_radius=problem.pole_radius,
-        gain_weight=problem.gain_weight,
-        noise_once=augmentation.noise_once,
+        multipliers=mu * solution.multipliers / problem.balance if asked.multipliers else None,
+        pole_radius=asked.pole_radius,
+        gain_weight=asked.gain_weight,
+        noise_once=search.augmentation.noise_once,
     )
