@@ -104,7 +104,7 @@ def play_batches(
     events: list[AlarmEvent] = []
     count = 0
     seen: set[str] = set()
-    rows = {layout.observer: _Rows() for layout in pipeline.layouts}
+    rows = {layout.observer: (0, 0, 0) for layout in pipeline.layouts}
     with ExitStack() as stack:
         recorder = _recorder(stack, record, pipeline) if record is not None else None
         for batch in batches:
@@ -121,7 +121,10 @@ def play_batches(
                 raise OtherVehicleError(f"{pipeline.refused}; take its own profile, or go on with --force")
             for output in outputs:
                 if isinstance(output, Estimates):
-                    rows[output.observer].count(output)
+                    taken, armed, coasted = rows[output.observer]
+                    armed += int(np.count_nonzero(output.armed))
+                    coasted += int(np.count_nonzero(output.coasted_s))
+                    rows[output.observer] = taken + len(output), armed, coasted
                     if recorder is not None:
                         recorder.estimates(output)
                     if keep_traces:
@@ -134,7 +137,11 @@ def play_batches(
                     on_event(output)
         if recorder is not None:
             recorder.add_metadata(pipeline.metadata())
-    watches = _watches(pipeline, rows)
+    sampling = pipeline.statistics()
+    watches = {
+        layout.observer: Watch(*rows[layout.observer], layout.rate_hz, sampling[layout.observer])
+        for layout in pipeline.layouts
+    }
     return Replay(
         events=tuple(events),
         traces=tuple(builder.build() for builder in builders.values()),
@@ -150,34 +157,6 @@ def play_batches(
         outside=pipeline.furthest,
         conditions=tuple(pipeline.conditions),
     )
-
-
-@dataclass(slots=True)
-class _Rows:
-    """What one observer took so far."""
-
-    samples: int = 0
-    evidence: int = 0
-    coasted: int = 0
-
-    def count(self, estimates: Estimates) -> None:
-        self.samples += len(estimates)
-        self.evidence += int(np.count_nonzero(estimates.armed))
-        self.coasted += int(np.count_nonzero(estimates.coasted_s))
-
-
-def _watches(pipeline: Pipeline, rows: Mapping[str, _Rows]) -> dict[str, Watch]:
-    sampling = pipeline.statistics()
-    return {
-        layout.observer: Watch(
-            samples=(taken := rows[layout.observer]).samples,
-            evidence=taken.evidence,
-            coasted=taken.coasted,
-            rate_hz=layout.rate_hz,
-            sampling=sampling[layout.observer],
-        )
-        for layout in pipeline.layouts
-    }
 
 
 def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:

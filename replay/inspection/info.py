@@ -75,9 +75,7 @@ def _observer(observer: ObserverProfile, said: Mapping[str, Mapping[str, Any]]) 
     return {
         "rate_hz": observer.rate_hz,
         "hypotheses": len(gains),
-        "inputs": list(gains[0].inputs),
-        "outputs": list(gains[0].outputs),
-        "states": list(gains[0].states),
+        **_names(gains[0]),
         "faults": [fault.name for fault in observer.faults],
         "messages": sorted(_messages(observer)),
         **_bounds(gains),
@@ -94,6 +92,10 @@ def _observer(observer: ObserverProfile, said: Mapping[str, Mapping[str, Any]]) 
             for rule in observer.alarms
         },
     }
+
+
+def _names(of: Gains | Plant) -> dict[str, list[str]]:
+    return {"inputs": list(of.inputs), "outputs": list(of.outputs), "states": list(of.states)}
 
 
 def _bounds(gains: Sequence[Gains]) -> dict[str, Any]:
@@ -125,9 +127,7 @@ def gains_info(path: Path) -> dict[str, Any]:
         "method": gains.method,
         "domain": gains.domain,
         "rate_hz": gains.rate_hz,
-        "inputs": list(gains.inputs),
-        "outputs": list(gains.outputs),
-        "states": list(gains.states),
+        **_names(gains),
         "faults": [
             {"name": name, "kind": kind, "unit": unit}
             for name, kind, unit in zip(gains.faults, gains.fault_kinds, gains.fault_units, strict=True)
@@ -152,9 +152,7 @@ def model_info(path: Path) -> dict[str, Any]:
         "description": plant.description,
         "domain": plant.domain,
         "rate_hz": plant.rate_hz,
-        "inputs": list(plant.inputs),
-        "outputs": list(plant.outputs),
-        "states": list(plant.states),
+        **_names(plant),
         "faults": [{"name": fault.name, "kind": fault.kind, "unit": fault.unit} for fault in plant.faults],
         "disturbances": [signal.name for signal in plant.disturbances],
         "noises": [signal.name for signal in plant.noises],

@@ -12,9 +12,7 @@ _FORMATS = {
     "tlog": "MAVLink telemetry log",
     "mcap": "MCAP",
     "ulog": "PX4 log",
-    "ulg": "PX4 log",
     "dataflash": "ArduPilot log",
-    "bin": "ArduPilot log",
 }
 _MOST_ALARMS = 20
 """Chosen: what fits on a screen beside the rest."""
