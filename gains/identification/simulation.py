@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from adapters.errors import ModelError
-from gains.plants.expression import FUNCTIONS, Apply, Argument, Node, Number, derivative, parse_expression
+from gains.plants.expression import FUNCTIONS, Node, closure, derivative, parse_expression
 from gains.plants.plant import FloatArray, Plant
 
 Hold = Literal["first", "zero"]
@@ -29,6 +29,7 @@ _MOST_HALVINGS = 60
 _FUNCTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
     name: getattr(np, {"atan": "arctan"}.get(name, name)) for name in (*FUNCTIONS, "sign")
 }
+_OPERATORS = {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,18 +51,8 @@ class Dynamics:
 
 def compile_vectorised(node: Node) -> Vectorised:
     """Return an expression as a function of a sequence of arrays that broadcast; NaN where it has no value."""
-    if isinstance(node, Number):
-        constant = np.array(node.value)
-        return lambda values: constant
-    if isinstance(node, Argument):
-        index = node.index
-        return lambda values: values[index]
-    if isinstance(node, Apply):
-        operand, function = compile_vectorised(node.operand), _FUNCTIONS[node.function]
-        return lambda values: function(operand(values))
-    left, right = compile_vectorised(node.left), compile_vectorised(node.right)
-    operator = {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power}[node.operator]
-    return lambda values: np.asarray(operator(left(values), right(values)), dtype=np.float64)
+    function = closure(node, _FUNCTIONS, _OPERATORS)
+    return lambda values: np.asarray(function(values), dtype=np.float64)
 
 
 def linearised(plant: Plant, states: FloatArray) -> Plant:

@@ -8,8 +8,10 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import add, mul, sub, truediv
+from typing import Any
 
 from adapters.errors import ModelError
 
@@ -26,9 +28,6 @@ _OPERATORS: dict[type[ast.operator], str] = {
     ast.Pow: "**",
 }
 _CONSTANTS = {"pi": math.pi}
-
-ArgumentValues = tuple[float, ...]
-Scalar = Callable[[ArgumentValues], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +76,8 @@ FUNCTIONS: dict[str, Callable[[float], float]] = {
     "sqrt": math.sqrt,
     "abs": abs,
 }
+_SCALAR_FUNCTIONS = {**FUNCTIONS, "sign": lambda value: math.copysign(1.0, value) if value else 0.0}
+_SCALAR_OPERATORS = {"+": add, "-": sub, "*": mul, "/": truediv, "**": math.pow}
 
 
 def parse_expression(text: str, arguments: Sequence[str]) -> Node:
@@ -116,15 +117,33 @@ def compile_expression(text: str, arguments: Sequence[str]) -> Callable[..., flo
 
 def compile_node(node: Node) -> Callable[..., float]:
     """Return the tree as a function of scalars: NaN where it has no value, never an exception."""
-    scalar = _closure(node)
+    scalar = closure(node, _SCALAR_FUNCTIONS, _SCALAR_OPERATORS)
 
     def function(*values: float) -> float:
         try:
-            return scalar(values)
+            return float(scalar(values))
         except (ArithmeticError, ValueError):
             return math.nan
 
     return function
+
+
+def closure(
+    node: Node, functions: Mapping[str, Callable[[Any], Any]], operators: Mapping[str, Callable[[Any, Any], Any]]
+) -> Callable[[Sequence[Any]], Any]:
+    """Return the tree as a function of its arguments, numbers or arrays as the functions and operators take them."""
+    if isinstance(node, Number):
+        value = node.value
+        return lambda values: value
+    if isinstance(node, Argument):
+        index = node.index
+        return lambda values: values[index]
+    if isinstance(node, Apply):
+        operand, function = closure(node.operand, functions, operators), functions[node.function]
+        return lambda values: function(operand(values))
+    left, right = (closure(side, functions, operators) for side in (node.left, node.right))
+    operator = operators[node.operator]
+    return lambda values: operator(left(values), right(values))
 
 
 def derivative(node: Node, index: int) -> Node:
@@ -258,33 +277,7 @@ def _outer_derivative(node: Apply) -> Node:
     return outer[node.function]()
 
 
-def _closure(node: Node) -> Scalar:
-    if isinstance(node, Number):
-        value = node.value
-        return lambda values: value
-    if isinstance(node, Argument):
-        index = node.index
-        return lambda values: values[index]
-    if isinstance(node, Apply):
-        operand = _closure(node.operand)
-        function = _sign if node.function == "sign" else FUNCTIONS[node.function]
-        return lambda values: function(operand(values))
-    left, right = _closure(node.left), _closure(node.right)
-    operators: dict[str, Scalar] = {
-        "+": lambda values: left(values) + right(values),
-        "-": lambda values: left(values) - right(values),
-        "*": lambda values: left(values) * right(values),
-        "/": lambda values: left(values) / right(values),
-        "**": lambda values: math.pow(left(values), right(values)),
-    }
-    return operators[node.operator]
-
-
 def _number(node: Node) -> float:
     if not isinstance(node, Number):
         raise TypeError("the exponent of a power is a Number")
     return node.value
-
-
-def _sign(value: float) -> float:
-    return math.copysign(1.0, value) if value else 0.0
