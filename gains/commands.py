@@ -230,13 +230,7 @@ def run_design(args: argparse.Namespace) -> int:
 
 
 def _only(plant: Plant, names: str) -> Plant:
-    """Return the plant with the named faults alone.
-
-    Raises
-    ------
-    UsageError
-        One is no fault of the model.
-    """
+    """Return the plant with the named faults alone."""
     from gains.analysis.estimability import restricted
 
     wanted = tuple(name.strip() for name in names.split(","))

@@ -36,8 +36,12 @@ def design_baseline(plant: Plant, method: str, rate_hz: float | None) -> tuple[G
 
     Raises
     ------
-    ModelError, InfeasibleError
-        The method does not know such models, or has no solution for this one.
+    ModelError
+        The model is discrete, where the method knows continuous ones only, or cannot be sampled.
+    InfeasibleError
+        The method does not know such faults, or its inequality has no solution; the message says why.
+    InaccurateError
+        The solver stopped short, or the norm of the gains does not confirm the bound.
     """
     if method == "ekf":
         return _filter(plant, rate_hz)

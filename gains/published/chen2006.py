@@ -43,14 +43,7 @@ def design_chen2006(plant: Plant, filter_s: float = 0.05) -> ContinuousObserver:
 
     It has no bound (``sqrt_mu`` None); its stability at every slope vertex is confirmed.
 
-    Raises
-    ------
-    ModelError
-        The model is discrete.
-    InfeasibleError
-        The rank condition fails, or the inequality has no solution: the message gives the Lipschitz constant.
-    InaccurateError
-        The error system of the gains is not stable.
+    Errors are those of :func:`gains.published.catalogue.design_baseline`.
     """
     import cvxpy as cp
 

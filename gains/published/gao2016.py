@@ -43,14 +43,7 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
     ``decouple`` takes the disturbances whose directions C keeps apart out by H; ``decay`` is alpha, 1/s: with 0 the
     cheapest gains within the bound take hours.
 
-    Raises
-    ------
-    ModelError
-        The model is discrete.
-    InfeasibleError
-        The inequality has no solution, or there is nothing to estimate.
-    InaccurateError
-        The norm of the gains does not confirm the bound.
+    Errors are those of :func:`gains.published.catalogue.design_baseline`.
     """
     import cvxpy as cp
 

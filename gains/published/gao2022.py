@@ -40,14 +40,7 @@ def design_gao2022(plant: Plant, sigmas: float | Sequence[float] = SIGMAS) -> Co
 
     ``sqrt_mu`` is that against [w; w'; fa'], confirmed by the norm of its gains (noise path ``"all"``).
 
-    Raises
-    ------
-    ModelError
-        The model is discrete, or a sigma is not positive.
-    InfeasibleError
-        No sigma has a solution.
-    InaccurateError
-        Solutions were found, but none that the norm of its gains confirms.
+    Errors are those of :func:`gains.published.catalogue.design_baseline`.
     """
     started = time.perf_counter()
     observers: list[ContinuousObserver] = []

@@ -41,14 +41,7 @@ def design_zhang2008(
     ``sigma`` weighs e_y against e_y', 1/s, ``mu_z`` is the form's weight of G_z, ``learning_rate`` says how fast the
     fault estimate follows, 1/s, ``decay`` is alpha, 1/s (0 in the form attributed to the original).
 
-    Raises
-    ------
-    ModelError
-        The model is discrete.
-    InfeasibleError
-        There is a sensor fault or no actuator fault, or the inequality has no solution.
-    InaccurateError
-        The error system of the gains is not stable.
+    Errors are those of :func:`gains.published.catalogue.design_baseline`.
     """
     import cvxpy as cp
 

@@ -196,12 +196,8 @@ def solve_bounded_real(problem: Inequality, fixed: tuple[float, float] | None = 
     """Minimise mu (and the gains), or at fixed mu and trace(W) find the point farthest inside the inequality.
 
     Use the first form for the least bound. Its optimum lies on the boundary of the inequality, where rounding decides:
-    where that fails the certificate, use the second with a slightly larger mu.
-
-    Returns
-    -------
-    tuple[Solution | None, float]
-        None where the solver failed, and its time in seconds.
+    where that fails the certificate, use the second with a slightly larger mu. Returns None where the solver failed,
+    and its time in seconds.
 
     Raises
     ------

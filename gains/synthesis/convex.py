@@ -71,7 +71,7 @@ def design_convex(
     free_inverse: bool = True,
     noise_once: bool = False,
 ) -> Design:
-    """Design an observer for a plant and prove it.
+    """Design an observer for a plant and prove it: its certificate holds.
 
     Parameters
     ----------
@@ -112,11 +112,6 @@ def design_convex(
         Bound the error against [w; df_a] instead of [w; w+; df_a], which counts noise twice: choose it to compare the
         bound with errors that noise makes. F then moves the sensor faults' estimates alone and is not free. At low
         rates the bound is larger for it (the disturbed arm: .146 at 100 Hz, .148 at 20, .218 at 10).
-
-    Returns
-    -------
-    Design
-        Gains whose certificate holds.
 
     Raises
     ------
@@ -183,13 +178,7 @@ class _Search(NamedTuple):
 
 
 def _bounded(search: _Search, asked: Demands, caution: float = 0.0) -> Design:
-    """Return the first certified design, as much noise added to the outputs as ``caution`` says.
-
-    Raises
-    ------
-    InfeasibleError, InaccurateError
-        There is none.
-    """
+    """Return the first certified design, as much noise added to the outputs as ``caution`` says."""
     coordinates = kalman_coordinates(search.model, asked.pole_radius, caution)
     if asked.free:
         # the pseudo-inverse has fewer unknowns: what stops the solver short with them may go without
@@ -220,13 +209,7 @@ def _problems(search: _Search, coordinates: Coordinates, asked: Demands) -> tupl
 
 
 def _within(search: _Search, asked: Demands, bound: float) -> Design:
-    """Return the first design whose gains are within their bound: without any condition, then along the ladder.
-
-    Raises
-    ------
-    InfeasibleError
-        None of them is.
-    """
+    """Return the first design whose gains are within their bound: without any condition, then along the ladder."""
     design = _bounded(search, asked)
     smallest, solve_s = design.gains.gain_max_abs, design.solve_s
     for caution, looseness in itertools.product(_CAUTION, _LOOSENESS) if asked.P is None else [(0.0, 1.0)]:
@@ -246,13 +229,7 @@ def _within(search: _Search, asked: Demands, bound: float) -> Design:
 
 
 def _searched(search: _Search, problems: Sequence[Inequality]) -> Design:
-    """Return the first certified design.
-
-    Raises
-    ------
-    InfeasibleError, InaccurateError
-        There is none: the last inequality has no solution, or the solver stopped short.
-    """
+    """Return the first certified design."""
     for problem in problems:
         try:
             for solution, solve_s in _solutions(problem):

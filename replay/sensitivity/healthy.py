@@ -167,11 +167,8 @@ def free_spans(
 def onsets(recordings: Sequence[Sequence[Span]], count: int) -> list[tuple[int, int]]:
     """Return times of onset, evenly spread over where they may lie in each of several recordings.
 
-    Returns
-    -------
-    list[tuple[int, int]]
-        Index of the recording and time of each onset, whole milliseconds in nanoseconds; fewer than ``count`` where
-        time is short, none where no window fits.
+    Each is the index of its recording and whole milliseconds in nanoseconds; they are fewer than ``count`` where time
+    is short, none where no window fits.
     """
     free = [(index, a, b) for index, spans in enumerate(recordings) for a, b in spans]
     total = sum(b - a for _, a, b in free)
