@@ -6,7 +6,7 @@ What is the same for all messages of a batch is done once. A batch holds exactly
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
@@ -114,6 +114,12 @@ class Batch:
     count: int
     columns: tuple[Columns, ...]
     others: Mapping[int, Message]
+
+    @property
+    def entries(self) -> Iterator[Columns | Message]:
+        """The columns, then the messages that are none."""
+        yield from self.columns
+        yield from self.others.values()
 
 
 def messages(batch: Batch) -> Iterator[Message]:
@@ -234,10 +240,20 @@ def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch
     return Batch(len(indices), tuple(closed), dict(zip(rank.tolist(), others.values(), strict=False)))
 
 
+def sender_of(entry: Columns | Message) -> int | None:
+    """Return the system id of a message, or of those in columns; None where their source has none."""
+    return entry.system if entry.source.has_ids else None
+
+
 def of_names(batch: Batch, names: Container[str]) -> Batch:
     """Return the messages of some names as a batch."""
-    columns = [columns for columns in batch.columns if columns.name in names]
-    others = {index: message for index, message in batch.others.items() if message.name in names}
+    return chosen(batch, lambda entry: entry.name in names)
+
+
+def chosen(batch: Batch, keeps: Callable[[Columns | Message], bool]) -> Batch:
+    """Return the columns and messages that ``keeps`` is true of as a batch."""
+    columns = [columns for columns in batch.columns if keeps(columns)]
+    others = {index: message for index, message in batch.others.items() if keeps(message)}
     if len(columns) == len(batch.columns) and len(others) == len(batch.others):
         return batch
     return gathered(columns, others)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
-from math import asin, atan2, hypot, isfinite
+from math import asin, atan2, hypot, isfinite, nan
 from typing import Any, Literal, get_args
 
 from adapters.errors import TelemetryError
@@ -150,6 +150,16 @@ def _whole(count: Any, unit_ns: int) -> int | None:
     if isinstance(count, float) and isfinite(count * unit_ns):
         return round(count * unit_ns)
     return count * unit_ns if isinstance(count, int) and not isinstance(count, bool) else None
+
+
+def number(value: object) -> float:
+    """Return a number from the network, NaN for what is none or too large for one."""
+    if type(value) not in (int, float):
+        return nan
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except OverflowError:
+        return nan
 
 
 def follow(fields: Mapping[str, Any], path: tuple[str | int, ...]) -> Any:

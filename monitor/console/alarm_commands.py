@@ -82,12 +82,17 @@ def add_schema(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def _add_where(parser: argparse.ArgumentParser, vehicle: str, default: str | None = None) -> None:
     parser.add_argument("--vehicle", metavar="NAME", default=default or "*", help=vehicle)
+    add_endpoints(parser, default)
+
+
+def add_endpoints(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    """Add where monitors are to be found over Zenoh."""
     parser.add_argument(
         "--connect",
         metavar="ENDPOINT",
         action="append",
         default=default,
-        help=f"Zenoh endpoint of the monitor or a router, may be repeated (default: {DEFAULT_CONNECT})",
+        help=f"Zenoh endpoint of a monitor or a router, may be repeated (default: {DEFAULT_CONNECT})",
     )
     parser.add_argument(
         "--zenoh-config",

@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
+from adapters.channels import number
 from adapters.errors import printable
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
 from monitor.bus.payload import decode_payload
@@ -14,7 +15,7 @@ from monitor.bus.status_watch import MAX_VEHICLES, StatusWatch, VehicleStatus
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.console.alarm_table import AlarmTable
 from monitor.console.flight_mode import flight_mode
-from monitor.console.vehicle_history import MAX_CHANNELS, MAX_OBSERVERS, Since, VehicleHistory, mapping, number
+from monitor.console.vehicle_history import MAX_CHANNELS, MAX_OBSERVERS, Since, VehicleHistory, mapping
 from monitor.display import display_unit
 
 if TYPE_CHECKING:

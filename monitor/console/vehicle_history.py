@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from adapters.channels import number
 from adapters.errors import printable
 from monitor.bus.estimate_watch import live_shares
 from monitor.event import AlarmEvent
@@ -164,16 +165,6 @@ class VehicleHistory:
     def _add(self, name: str, entry: dict[str, Any]) -> None:
         self._entries[name].append(entry)
         self._counts[name] += 1
-
-
-def number(value: object) -> float:
-    """Return a number from the network, NaN for what is none or too large for one."""
-    if type(value) not in (int, float):
-        return math.nan
-    try:
-        return float(value)  # type: ignore[arg-type]
-    except OverflowError:
-        return math.nan
 
 
 def _sizes(value: object) -> dict[str, float]:

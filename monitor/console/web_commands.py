@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from adapters.errors import UsageError
-from monitor.console.alarm_commands import DEFAULT_CONNECT
+from monitor.console.alarm_commands import DEFAULT_CONNECT, add_endpoints
 
 _SHORTEST = 16
 """Letters of a token. Chosen: as many random ones as nobody guesses at one a second."""
@@ -27,19 +27,7 @@ def add_console(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
         "link, track. Only reads, unless --commands is given. Ends on Ctrl-C or SIGTERM.",
         epilog="example: fauio console --commands --clips clips/",
     )
-    console.add_argument(
-        "--connect",
-        metavar="ENDPOINT",
-        action="append",
-        help=f"Zenoh endpoint of a monitor or a router, may be repeated (default: {DEFAULT_CONNECT})",
-    )
-    console.add_argument(
-        "--zenoh-config",
-        type=Path,
-        metavar="FILE",
-        help="Zenoh configuration with certificates or password, for a secured monitor; its endpoints count",
-    )
-    console.add_argument("--prefix", metavar="KEY", default="fauio", help="what the keys begin with (default: fauio)")
+    add_endpoints(console)
     console.add_argument(
         "--listen", metavar="HOST:PORT", default="127.0.0.1:8600", help="address of the page (127.0.0.1:8600)"
     )

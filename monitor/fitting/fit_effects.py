@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,15 +210,9 @@ def _reading(
             for estimates, u in runs
         ]
         rule = calibrate_effectiveness(healthy, gains.rate_hz, start)
-        rules[fault] = replace(
-            rule,
-            noise=_rounded(rule.noise),
-            inflation=_rounded(rule.inflation),
-            lag_s=_rounded(rule.lag_s),
-            loss_doubt=_rounded(rule.loss_doubt),
-            offset_doubt=_rounded(rule.offset_doubt),
-            certainty=_rounded(rule.certainty),
-        )
+        learned = ("noise", "inflation", "lag_s", "loss_doubt", "offset_doubt", "certainty")
+        rounded: dict[str, Any] = {name: float(f"{getattr(rule, name):.4g}") for name in learned}
+        rules[fault] = replace(rule, **rounded)
     return rules
 
 
@@ -297,7 +292,3 @@ def _lines(fit: AxesFit, rate_hz: float, reference: float, reading: Mapping[str,
     for verdict in fit.excitation:
         if not verdict.excited:
             yield f"note: {verdict.actuator} is not watched: {verdict.advice}"
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.4g}")

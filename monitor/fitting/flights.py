@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from adapters.batch import Batch, Columns, cut, gathered, one_message, rows_of
 from adapters.errors import TelemetryError
 from adapters.message import Message
-from adapters.sample import Samples
+from adapters.sample import Samples, joined_samples
 from gains.identification.segment import Segment
 from monitor.core.sampling import VehicleClock
 from monitor.sampling.gate import GatedSampler, GateRule
@@ -153,8 +153,5 @@ def _chosen(samples: Samples, rows: NDArray[np.intp]) -> Samples:
 
 def joined_flights(flights: Sequence[Flight]) -> Flight:
     """Return the samples of flights one after the other."""
-    columns = {
-        column.name: np.concatenate([getattr(flight.samples, column.name) for flight in flights])
-        for column in fields(Samples)
-    }
-    return Flight(Samples(**columns), np.concatenate([flight.armed for flight in flights]))
+    samples = joined_samples([flight.samples for flight in flights])
+    return Flight(samples, np.concatenate([flight.armed for flight in flights]))

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
-from adapters.batch import Batch, Columns, gathered, joined
+from adapters.batch import Batch, Columns, chosen, joined, sender_of
 from adapters.mavlink.heartbeat import AUTOPILOT, autopilot_heartbeats
 from adapters.message import Message
 from monitor.alarms.command_watch import COMMANDS, commanded_systems
@@ -87,18 +88,13 @@ class Fleet:
         if arrival.vehicle is not None:
             own = self._vehicles.get(arrival.vehicle)
             return [(own, batch)] if own is not None else self._discard(batch.count)
-        entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
-        systems = {entry.system if entry.source.has_ids else None for entry in entries}
-        systems |= {system for entry in entries if entry.name in COMMANDS for system in self._commanded(entry)}
+        systems = set(map(sender_of, batch.entries))
+        systems |= {system for entry in batch.entries if entry.name in COMMANDS for system in self._commanded(entry)}
         if len(systems) == 1:
             return self._parts_of(systems.pop(), batch)
         parts = []
         for system in systems:
-            part = gathered(
-                [columns for columns in batch.columns if self._is_for(columns, system)],
-                {index: message for index, message in batch.others.items() if self._is_for(message, system)},
-            )
-            parts += self._parts_of(system, part)
+            parts += self._parts_of(system, chosen(batch, partial(self._is_for, system)))
         return parts
 
     def _commanded(self, entry: Columns | Message) -> set[int]:
@@ -106,10 +102,8 @@ class Fleet:
         targets = commanded_systems(entry)
         return set(self._by_system) if 0 in targets else targets & self._by_system.keys()
 
-    def _is_for(self, entry: Columns | Message, system: int | None) -> bool:
-        if not entry.source.has_ids:
-            return system is None
-        return system is not None and (entry.system == system or system in self._commanded(entry))
+    def _is_for(self, system: int | None, entry: Columns | Message) -> bool:
+        return sender_of(entry) == system or (entry.source.has_ids and system in self._commanded(entry))
 
     def _discard(self, count: int) -> list[tuple[VehicleMonitor, Batch]]:
         self.foreign += count
@@ -194,8 +188,7 @@ class _Stranger:
     def add(self, batch: Batch, pipeline: Pipeline | None) -> int:
         """Keep a batch; return how many messages were forgotten. A pipeline says what telemetry it waits for."""
         telemetry = 0
-        entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
-        for entry in entries:
+        for entry in batch.entries:
             times = entry.received_ns if isinstance(entry, Columns) else np.array([entry.received_ns])
             self.newest_ns = int(times[-1])
             if isinstance(entry, Columns) and entry.component == AUTOPILOT and autopilot_heartbeats(entry).any():

@@ -11,9 +11,10 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, Protocol
 
-from adapters.batch import Batch, Columns, cut, gathered, memory_bytes
+from adapters.batch import Batch, Columns, chosen, cut, memory_bytes, sender_of
 from adapters.link_figures import LinkFigures, LinkMeter
 from adapters.message import Message
 
@@ -264,25 +265,11 @@ def _waited_s(batch: Batch) -> float:
 
 def _by_sender(batch: Batch) -> list[tuple[int | None, Batch]]:
     """Return the parts of a batch by system id; None stands for sources without."""
-    entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
-    systems = {entry.system if entry.source.has_ids else None for entry in entries}
+    systems = set(map(sender_of, batch.entries))
     if len(systems) == 1:
         return [(systems.pop(), batch)]
-    return [
-        (
-            system,
-            gathered(
-                [
-                    columns
-                    for columns in batch.columns
-                    if (columns.system if columns.source.has_ids else None) == system
-                ],
-                {
-                    index: message
-                    for index, message in batch.others.items()
-                    if (message.system if message.source.has_ids else None) == system
-                },
-            ),
-        )
-        for system in systems
-    ]
+    return [(system, chosen(batch, partial(_is_of, system))) for system in systems]
+
+
+def _is_of(system: int | None, entry: Columns | Message) -> bool:
+    return sender_of(entry) == system

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from adapters.batch import Batch, Columns, arrival_times
+from adapters.batch import Batch, arrival_times
 from adapters.errors import StorageError, TelemetryError, UsageError
-from adapters.message import SECOND_NS, Message
+from adapters.message import SECOND_NS
 from adapters.output_file import check_suffix
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
@@ -151,8 +151,7 @@ class _Tally:
         self._last_ns = times_ns[-1]
         self.names.update({columns.name: len(columns.position) for columns in batch.columns})
         self.names.update(message.name for message in batch.others.values())
-        senders: list[Columns | Message] = [*batch.columns, *batch.others.values()]
-        for sender in senders:
+        for sender in batch.entries:
             if sender.source.is_telemetry and sender.source.has_ids:
                 self.systems.add(sender.system)
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol, get_args
 
 import numpy as np
 
-from adapters.batch import Batch, gathered, pack
+from adapters.batch import Batch, chosen, pack
 from adapters.message import silence
 from adapters.source import JOURNAL, OPERATOR
 from monitor.alarms.desk import FLOOD_KEY
@@ -172,7 +172,7 @@ class VehicleMonitor:
         messages and events are.
         """
         outputs = self.pipeline.run(batch)
-        own = self._own(batch)
+        own = chosen(batch, self.pipeline.accepts)
         self.messages += own.count
         self._second.messages += own.count
         telemetry: list[int] = []
@@ -201,15 +201,6 @@ class VehicleMonitor:
                 first_ns, last_ns = min(telemetry), max(telemetry)
                 self.alarm_latency.add([now_ns - min(max(event.time_ns, first_ns), last_ns) for event in events])
         return events
-
-    def _own(self, batch: Batch) -> Batch:
-        """Return the messages of a batch that come from the monitored vehicle."""
-        accepts = self.pipeline.accepts
-        columns = [entry for entry in batch.columns if accepts(entry)]
-        others = {index: message for index, message in batch.others.items() if accepts(message)}
-        if len(columns) == len(batch.columns) and len(others) == len(batch.others):
-            return batch
-        return gathered(columns, others)
 
     def pass_time(self, now_ns: int) -> None:
         """Let the pipeline know that time has passed without telemetry; record it where that changed something."""

@@ -7,14 +7,13 @@ from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from math import nan
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, one_message
-from adapters.channels import follow
+from adapters.channels import follow, number
 from adapters.message import Message
 from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent
@@ -169,7 +168,7 @@ class VehicleView:
             if not paths:
                 return
             raw = _Raw(paths)
-        row = tuple(_number(follow(message.fields, path)) for path in raw.paths)
+        row = tuple(number(follow(message.fields, path)) for path in raw.paths)
         with self._lock:
             self._raw[message.name] = raw
             self._keep(raw.rows, (message.received_ns, row))
@@ -188,15 +187,6 @@ def _trace(layout: Layout, estimates: Sequence[Estimates]) -> Trace:
     for row in estimates:
         builder.extend(row)
     return builder.build()
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return nan
-    try:
-        return float(value)
-    except OverflowError:
-        return nan
 
 
 def _numeric_paths(fields: Mapping[str, Any]) -> Iterator[_Path]:

@@ -28,13 +28,10 @@ from numpy.typing import NDArray
 
 from adapters.errors import ModelError, TelemetryError
 from adapters.sample import Given, Samples
-from gains.plants.plant import Disturbance, Fault, Noise, Plant
-from gains.synthesis.certificate import certify
-from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from monitor.alarms.alarm import RESISTANCE
 from monitor.core.lagged import LaggedMeans
-from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import (
@@ -181,11 +178,10 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
     source = SampleSource(transform=TransformRule(OBSERVER, rate_hz, parameters), signals=channels)
     flights = _transformed(raw, parameters, rate_hz)
     left = max(float(np.concatenate([flight.samples.y[flight.armed, 0] for flight in flights]).std()), _LEAST_LEFT)
-    plant = _plant(request.name, rate_hz, left)
-    design = design_convex(plant)
-    bare = Fitted(
-        OBSERVER, plant, (compile_gains(plant, design, certify(plant, design)),), source, IndependentRule(1.0 / rate_hz)
-    )
+    expected = Expectation("resistance", left, OBSERVER, RESISTANCE, _SMALLEST, _FAULT_RATE, OBSERVER)
+    # of the inputs the first is the usual resistance; the others are for the alarm's sentence
+    plant = expectation_plant(request.name, rate_hz, BatteryInputs.inputs, [expected], np.eye(1, 4))
+    bare = bare_observer(OBSERVER, plant, design_convex(plant), source)
     evidence = [run[:, 0] for run in healthy_evidence(bare.profile(), gate, flights)]
     raise_s = max(_RAISE * memory_s, 3.0 / rate_hz)
     times = Times(fast_s=raise_s, raise_s=raise_s, slow_s=_SLOW * memory_s, clear_s=raise_s)
@@ -250,22 +246,3 @@ def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float] | None:
 
 def _transformed(raw: Sequence[Flight], parameters: Mapping[str, float], rate_hz: float) -> list[Flight]:
     return [transformed(flight, BatteryInputs(parameters, rate_hz, rate_hz)) for flight in raw]
-
-
-def _plant(name: str, rate_hz: float, left: float) -> Plant:
-    one = np.eye(1)
-    return Plant(
-        name=name,
-        domain="discrete",
-        rate_hz=rate_hz,
-        states=("usual_resistance",),
-        inputs=BatteryInputs.inputs,
-        outputs=BatteryInputs.outputs,
-        A=0.0 * one,
-        B=np.array([[1.0, 0.0, 0.0, 0.0]]),
-        C=one,
-        faults=(Fault(OBSERVER, "actuator", one[:, 0], _FAULT_RATE, _SMALLEST, RESISTANCE, input=OBSERVER),),
-        disturbances=(Disturbance("disturbance_resistance", one[:, 0], left),),
-        noises=(Noise("noise_resistance", one[:, 0], left),),
-        state_errors=np.array([left]),
-    )

@@ -6,9 +6,6 @@ squares. What a flight does not show is filled in from what motors have in commo
 - Of speed over command the bend lies between none and that of a square root, and speed follows the voltage as it
   follows the command, whose product a speed controller without a governor applies.
 - A propeller takes a power that goes with the cube of its speed: current goes with it over the voltage.
-
-The plant behind has a state for each expectation and no dynamics; every fault shows in a measurement of its own, so
-all are estimated at once.
 """
 
 from __future__ import annotations
@@ -24,13 +21,11 @@ from numpy.typing import NDArray
 
 from adapters.channels import Channel
 from adapters.errors import ModelError
-from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.plants.plant import Plant
 from gains.synthesis.blocks import design_blocks
-from gains.synthesis.certificate import certify
-from gains.synthesis.compilation import compile_gains
 from monitor.alarms.alarm import CURRENT, SPEED
 from monitor.alarms.excuse import ExcuseRule
-from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import (
@@ -211,10 +206,8 @@ def _designed(
     rule = TransformRule(OBSERVER, signal_hz, found.parameters())
     flights = [transformed(_chosen(flight, kept), EscInputs(rule.parameters, signal_hz, rate_hz)) for flight in raw]
     plant = esc_plant(found, name, rate_hz)
-    design = design_blocks(plant)
     source = SampleSource(transform=rule, signals=tuple(channels[at] for at in kept))
-    gains = compile_gains(plant, design, certify(plant, design))
-    bare = Fitted(OBSERVER, plant, (gains,), source, IndependentRule(1.0 / rate_hz))
+    bare = bare_observer(OBSERVER, plant, design_blocks(plant), source)
     evidence = healthy_evidence(bare.profile(), gate, flights)
     alarms = _alarms(bare.profile().faults, evidence, rate_hz, _times(rate_hz))
     return replace(
@@ -238,41 +231,15 @@ def _designed(
 
 
 def esc_plant(found: _Identified, name: str, rate_hz: float) -> Plant:
-    """Return the plant behind the transform: a state is what a tick lets expect, an output what it measured."""
-    inputs = tuple(f"{kind}{n}" for kind in ("esc", "motor") for n in found.numbers)[: len(found.names)]
-    identity = np.eye(len(inputs))
-    left = found.curves.left
-    smallest = [_SMALLEST_SPEED if channel.startswith("esc") else _SMALLEST_CURRENT for channel in inputs]
-    return Plant(
-        name=name,
-        domain="discrete",
-        rate_hz=rate_hz,
-        states=tuple(f"expected_{name}" for name in found.names),
-        inputs=inputs,
-        outputs=found.names,
-        A=0.0 * identity,
-        B=identity,
-        C=identity,
-        faults=tuple(
-            Fault(
-                name=channel,
-                kind="actuator",
-                column=identity[:, at],
-                rate=_FAULT_RATE,
-                error=smallest[at],
-                unit=SPEED if channel.startswith("esc") else CURRENT,
-                input=channel,
-            )
-            for at, channel in enumerate(inputs)
-        ),
-        disturbances=tuple(
-            Disturbance(f"disturbance_{channel}", identity[:, at], float(left[at])) for at, channel in enumerate(inputs)
-        ),
-        noises=tuple(
-            Noise(f"noise_{measured}", identity[:, at], float(left[at])) for at, measured in enumerate(found.names)
-        ),
-        state_errors=left,
-    )
+    """Return the plant behind the transform, of speeds and of currents where they are measured."""
+    speeds, currents = (SPEED, _SMALLEST_SPEED), (CURRENT, _SMALLEST_CURRENT)
+    faults = [(f"esc{n}", *speeds) for n in found.numbers] + [(f"motor{n}", *currents) for n in found.numbers]
+    measured = list(zip(found.names, found.curves.left.tolist(), faults, strict=False))
+    expectations = [
+        Expectation(name, left, fault, unit, smallest, _FAULT_RATE, fault)
+        for name, left, (fault, unit, smallest) in measured
+    ]
+    return expectation_plant(name, rate_hz, [one.fault for one in expectations], expectations)
 
 
 def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: float, rate_hz: float) -> _Identified:

@@ -33,14 +33,11 @@ from numpy.typing import NDArray
 from adapters.channels import STANDARD_GRAVITY, Channel
 from adapters.errors import ModelError, TelemetryError
 from adapters.sample import Given, Samples
-from gains.plants.plant import Disturbance, Fault, Noise, Plant
 from gains.synthesis.blocks import design_blocks
-from gains.synthesis.certificate import certify
-from gains.synthesis.compilation import compile_gains
 from monitor.alarms.alarm import LOG_TIMES
 from monitor.alarms.excuse import ExcuseRule
 from monitor.core.lagged import LaggedMeans, cosines, sines
-from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
@@ -233,11 +230,13 @@ def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
     parameters, left = _learned(raw, numbers, signals.hover, signal_hz, rate_hz)
     source = SampleSource(transform=TransformRule(OBSERVER, signal_hz, parameters), signals=channels)
     flights = [transformed(flight, ImbalanceInputs(parameters, signal_hz, rate_hz)) for flight in raw]
-    plant = _plant(request.name, rate_hz, numbers, left)
-    design = design_blocks(plant)
-    bare = Fitted(
-        OBSERVER, plant, (compile_gains(plant, design, certify(plant, design)),), source, IndependentRule(1.0 / rate_hz)
-    )
+    faults = [f"prop{n}_imbalance" for n in numbers]
+    expectations = [
+        Expectation(f"line{n}", left, fault, LOG_TIMES, _SMALLEST, _FAULT_RATE)
+        for n, fault in zip(numbers, faults, strict=True)
+    ]
+    plant = expectation_plant(request.name, rate_hz, faults, expectations)
+    bare = bare_observer(OBSERVER, plant, design_blocks(plant), source)
     evidence = healthy_evidence(bare.profile(), gate, flights)
     share = FALSE_ALARMS_PER_HOUR / len(numbers)
     levels = healthy_levels([run[:, at] for at in range(len(numbers)) for run in evidence], rate_hz, share, _TIMES)
@@ -304,27 +303,3 @@ def _learned(
         values = {f"rpm{n}": hover[at], f"c{n}_0": float(c[0]), f"c{n}_1": float(c[1])}
         parameters |= {name: float(f"{value:.6g}") for name, value in values.items()}
     return parameters, max(float(np.sqrt(np.mean(np.square(left)))), _LEAST_LEFT)
-
-
-def _plant(name: str, rate_hz: float, numbers: Sequence[int], left: float) -> Plant:
-    identity = np.eye(len(numbers))
-    return Plant(
-        name=name,
-        domain="discrete",
-        rate_hz=rate_hz,
-        states=tuple(f"expected_line{n}" for n in numbers),
-        inputs=tuple(f"prop{n}_imbalance" for n in numbers),
-        outputs=tuple(f"line{n}" for n in numbers),
-        A=0.0 * identity,
-        B=identity,
-        C=identity,
-        faults=tuple(
-            Fault(f"prop{n}_imbalance", "actuator", column, _FAULT_RATE, _SMALLEST, LOG_TIMES)
-            for n, column in zip(numbers, identity, strict=True)
-        ),
-        disturbances=tuple(
-            Disturbance(f"disturbance_line{n}", column, left) for n, column in zip(numbers, identity, strict=True)
-        ),
-        noises=tuple(Noise(f"noise_line{n}", column, left) for n, column in zip(numbers, identity, strict=True)),
-        state_errors=np.full(len(numbers), left),
-    )

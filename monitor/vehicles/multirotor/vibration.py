@@ -21,13 +21,10 @@ from numpy.typing import NDArray
 from adapters.channels import Channel
 from adapters.errors import ModelError, TelemetryError
 from adapters.sample import Given, Samples
-from gains.plants.plant import Disturbance, Fault, Noise, Plant
-from gains.synthesis.certificate import certify
-from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from monitor.alarms.alarm import CLIPS, LOG_TIMES
 from monitor.core.lagged import LaggedMeans
-from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
@@ -169,11 +166,13 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
     parameters, left = _learned(raw, len(commands), signal_hz, rate_hz)
     source = SampleSource(transform=TransformRule(OBSERVER, signal_hz, parameters), signals=channels)
     flights = [transformed(flight, VibrationInputs(parameters, signal_hz, rate_hz)) for flight in raw]
-    plant = _plant(request.name, rate_hz, left)
-    design = design_convex(plant)
-    bare = Fitted(
-        OBSERVER, plant, (compile_gains(plant, design, certify(plant, design)),), source, IndependentRule(1.0 / rate_hz)
+    expectations = (
+        Expectation("level", left, OBSERVER, LOG_TIMES, _SMALLEST, _FAULT_RATE),
+        Expectation("clips", 1.0, CLIPPING, CLIPS, _CLIPPED, _CLIPPED),
     )
+    # no clip is ever expected
+    plant = expectation_plant(request.name, rate_hz, VibrationInputs.inputs, expectations, np.eye(2, 1))
+    bare = bare_observer(OBSERVER, plant, design_convex(plant), source)
     healthy = healthy_evidence(bare.profile(), gate, flights)
     evidence = [run[:, 0] for run in healthy]
     rule = bare_rule(OBSERVER, OBSERVER, "actuator", LOG_TIMES)
@@ -223,25 +222,3 @@ def _learned(raw: Sequence[Flight], motors: int, signal_hz: float, rate_hz: floa
         "least": _LEAST_LEVEL,
         **{f"c{term}": float(f"{value:.6g}") for term, value in enumerate(c)},
     }, left
-
-
-def _plant(name: str, rate_hz: float, left: float) -> Plant:
-    level, clips = np.eye(2)
-    return Plant(
-        name=name,
-        domain="discrete",
-        rate_hz=rate_hz,
-        states=("expected_level", "expected_clips"),
-        inputs=VibrationInputs.inputs,
-        outputs=VibrationInputs.outputs,
-        A=np.zeros((2, 2)),
-        B=level[:, None],
-        C=np.eye(2),
-        faults=(
-            Fault(OBSERVER, "actuator", level, _FAULT_RATE, _SMALLEST, LOG_TIMES),
-            Fault(CLIPPING, "actuator", clips, _CLIPPED, _CLIPPED, CLIPS),
-        ),
-        disturbances=(Disturbance("disturbance_level", level, left), Disturbance("disturbance_clips", clips, 1.0)),
-        noises=(Noise("noise_level", level, left), Noise("noise_clips", clips, 1.0)),
-        state_errors=np.array([left, 1.0]),
-    )

@@ -1,0 +1,68 @@
+"""Observers that compare measurements with what is expected of them: their plant and their bare profile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.design import Design
+from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.fitted import Fitted
+from monitor.sampling.transform import SampleSource
+
+
+class Expectation(NamedTuple):
+    """A measurement that is compared with what is expected of it."""
+
+    measured: str  # its name among the outputs
+    left: float  # its standard deviation from what is expected
+    fault: str  # channel of the fault that it shows
+    unit: str
+    error: float  # smallest size that matters
+    rate: float  # units per second by which the fault may grow
+    input: str | None = None  # input that the fault is a share of; None: it has a size of its own
+
+
+def expectation_plant(
+    name: str,
+    rate_hz: float,
+    inputs: Sequence[str],
+    expectations: Sequence[Expectation],
+    B: FloatArray | None = None,
+) -> Plant:
+    """Return the plant behind a transform: a state is what a tick lets expect, an output what it measured.
+
+    It has no dynamics, and every fault shows in a measurement of its own, so that all are estimated at once. Each input
+    is what is expected of one measurement where ``B`` (n, s) says nothing else.
+    """
+    identity = np.eye(len(expectations))
+    columns = list(zip(expectations, identity, strict=True))
+    return Plant(
+        name=name,
+        domain="discrete",
+        rate_hz=rate_hz,
+        states=tuple(f"expected_{one.measured}" for one in expectations),
+        inputs=tuple(inputs),
+        outputs=tuple(one.measured for one in expectations),
+        A=0.0 * identity,
+        B=identity if B is None else B,
+        C=identity,
+        faults=tuple(
+            Fault(one.fault, "actuator", column, one.rate, one.error, one.unit, input=one.input)
+            for one, column in columns
+        ),
+        disturbances=tuple(Disturbance(f"disturbance_{one.measured}", column, one.left) for one, column in columns),
+        noises=tuple(Noise(f"noise_{one.measured}", column, one.left) for one, column in columns),
+        state_errors=np.array([one.left for one in expectations]),
+    )
+
+
+def bare_observer(observer: str, plant: Plant, design: Design, source: SampleSource) -> Fitted:
+    """Return an observer of such a plant that has no alarms yet."""
+    gains = compile_gains(plant, design, certify(plant, design))
+    return Fitted(observer, plant, (gains,), source, IndependentRule(1.0 / gains.rate_hz))
