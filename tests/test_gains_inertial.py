@@ -10,6 +10,7 @@ import strapdown_truth as truth
 
 from adapters.errors import ModelError
 from gains.analysis.estimability import problem_of
+from gains.identification.segment import Segment
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bank import Hypothesis
 from gains.synthesis.certificate import certify
@@ -17,8 +18,9 @@ from gains.synthesis.compilation import compile_gains
 from monitor.estimation.affine import AffineObserver
 from monitor.vehicles.inertial.identify import inertial_bank, inertial_hypotheses, inertial_plant, smallest_faults
 from monitor.vehicles.inertial.sensor_fit import (
+    InertialData,
     InertialFit,
-    InertialSegment,
+    Washouts,
     best_delays,
     delay_costs,
     identify_inertial,
@@ -26,6 +28,7 @@ from monitor.vehicles.inertial.sensor_fit import (
 from monitor.vehicles.inertial.strapdown import Strapdown
 
 ONSET = 500
+WASHOUTS = Washouts(30.0, 10.0, 3.0)
 
 
 def noisy(raw: FloatArray, seed: int) -> FloatArray:
@@ -35,16 +38,16 @@ def noisy(raw: FloatArray, seed: int) -> FloatArray:
     return raw + sizes * rng.normal(size=raw.shape)
 
 
-def segment(raw: FloatArray, **parameters: float) -> InertialSegment:
+def segment(raw: FloatArray, **parameters: float) -> Segment:
     _, samples = truth.transformed(raw, parameters)
-    return InertialSegment(np.array([s.u for s in samples]), np.array([s.y for s in samples]))
+    return Segment(np.array([s.u for s in samples]), np.array([s.y for s in samples]))
 
 
 @cache
 def fitted() -> InertialFit:
     transform, _ = truth.transformed(truth.signals(0.1))
     flights = [segment(noisy(truth.signals(60.0, start_s=100.0 * seed), seed)) for seed in (1, 2)]
-    return identify_inertial(flights, transform.inputs, transform.outputs, 25.0, 30.0, 10.0, 3.0)
+    return identify_inertial(InertialData(flights, transform.inputs, transform.outputs, 25.0, WASHOUTS))
 
 
 @cache
@@ -149,7 +152,7 @@ def test_delays_are_those_of_the_sensors() -> None:
     for delay in np.arange(0.0, 0.31, 0.04).tolist():
         parameters = dict.fromkeys(("gps_delay_s", "baro_delay_s", "compass_delay_s"), delay)
         data = [segment(raw, **parameters)]
-        trials[delay] = delay_costs(data, transform.inputs, transform.outputs, 25.0, 30.0, 10.0, 3.0)
+        trials[delay] = delay_costs(InertialData(data, transform.inputs, transform.outputs, 25.0, WASHOUTS))
     found = best_delays(trials)
     assert found["gps_delay_s"] == pytest.approx(0.12, abs=0.01)
     assert found["baro_delay_s"] == pytest.approx(0.2, abs=0.02)
@@ -169,8 +172,8 @@ def test_a_missing_sensor_takes_its_faults_with_it(missing: str, gone: set[str],
     transform = Strapdown({missing: 0.0}, 100.0, 25.0)
     keep = [whole.signals.index(name) for name in transform.signals]
     samples = truth.fed(transform, noisy(truth.signals(40.0), 9)[:, keep])
-    data = [InertialSegment(np.array([s.u for s in samples]), np.array([s.y for s in samples]))]
-    fit = identify_inertial(data, transform.inputs, transform.outputs, 25.0, 30.0, 10.0, 3.0)
+    data = [Segment(np.array([s.u for s in samples]), np.array([s.y for s in samples]))]
+    fit = identify_inertial(InertialData(data, transform.inputs, transform.outputs, 25.0, WASHOUTS))
     plant = inertial_plant(fit, "vehicle")
     names = {name for found in inertial_hypotheses(plant) for name in found}
     assert not names & gone
@@ -187,14 +190,12 @@ def test_too_little_recording_is_said_so() -> None:
     transform, _ = truth.transformed(truth.signals(0.1))
     data = [segment(truth.signals(15.0))]
     with pytest.raises(ModelError, match="at least 20 s"):
-        identify_inertial(data, transform.inputs, transform.outputs, 25.0, 30.0, 10.0, 3.0)
+        identify_inertial(InertialData(data, transform.inputs, transform.outputs, 25.0, WASHOUTS))
 
 
 def test_sensors_that_come_once_a_second_are_fitted() -> None:
     transform, _ = truth.transformed(truth.signals(0.1))
     rng = np.random.default_rng(4)
-    flight = InertialSegment(
-        rng.normal(size=(150, len(transform.inputs))), rng.normal(size=(150, len(transform.outputs)))
-    )
-    fit = identify_inertial([flight], transform.inputs, transform.outputs, 1.0, 30.0, 10.0, 3.0)
+    flight = Segment(rng.normal(size=(150, len(transform.inputs))), rng.normal(size=(150, len(transform.outputs))))
+    fit = identify_inertial(InertialData([flight], transform.inputs, transform.outputs, 1.0, WASHOUTS))
     assert all(0.0 < size < 100.0 for size in fit.noise.values())

@@ -13,7 +13,7 @@ from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.flights import Flight
 from monitor.profile import FaultChannel
 from monitor.vehicles.inertial.identify import inertial_plant
-from monitor.vehicles.inertial.sensor_fit import InertialFit
+from monitor.vehicles.inertial.sensor_fit import InertialFit, Washouts
 from monitor.vehicles.multirotor.identify import RATE_AXES, MultirotorFit, multirotor_plant
 
 HZ = 100.0
@@ -227,9 +227,7 @@ OUTPUTS = ("gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east", "
 INERTIAL = inertial_plant(
     InertialFit(
         rate_hz=INERTIAL_HZ,
-        washout_s=30.0,
-        velocity_washout_s=10.0,
-        position_washout_s=3.0,
+        washouts=Washouts(30.0, 10.0, 3.0),
         inputs=(*INPUTS, "rate_x", "rate_y", "rate_z"),
         outputs=(*OUTPUTS, "rotation_x", "rotation_y", "rotation_z"),
         speed_scale={},

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
+from gains.identification.segment import Segment
 from gains.synthesis.bank import compile_bank
 from gains.synthesis.gains_file import Gains
 from monitor.alarms.excuse import ExcuseRule
@@ -48,8 +49,9 @@ from monitor.vehicles.inertial.identify import (
 from monitor.vehicles.inertial.ros_signals import BARE_POSITIONS, BODY_VELOCITY
 from monitor.vehicles.inertial.sensor_fit import (
     BARE_SETTLE_S,
+    InertialData,
     InertialFit,
-    InertialSegment,
+    Washouts,
     bare_positions,
     best_delays,
     delay_costs,
@@ -94,7 +96,7 @@ _POSITION_WASHOUT_S = 3.0
 accelerations, of which that attitude makes .9 m in that time."""
 _SMOOTHING_S = 0.12
 """Smoothing before hypotheses are compared, seconds: three samples."""
-_WASHOUTS_S = (_WASHOUT_S, _VELOCITY_WASHOUT_S, _POSITION_WASHOUT_S)
+_WASHOUTS = Washouts(_WASHOUT_S, _VELOCITY_WASHOUT_S, _POSITION_WASHOUT_S)
 _SETTLE_S = 5.0
 """Wait before samples are evidence, seconds. Chosen: a restarted washout and the first swings after take-off are
 over."""
@@ -227,13 +229,7 @@ def _designed(
     flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
     segments = [segment for flight in flights for segment in flight.segments()]
     transform = Strapdown(parameters, signal_hz, rate_hz)
-    fit = identify_inertial(
-        [InertialSegment(segment.u, segment.y) for segment in segments],
-        transform.inputs,
-        transform.outputs,
-        rate_hz,
-        *_WASHOUTS_S,
-    )
+    fit = identify_inertial(_data(segments, transform, rate_hz))
     plant = inertial_plant(fit, request.name)
     gains = compile_bank(plant, inertial_bank(plant))
     if "judge_level" in parameters:
@@ -333,15 +329,20 @@ def _line_s(raw: Sequence[Flight], index: int, signal_hz: float) -> float:
     return round(ticks / signal_hz, 3)
 
 
+def _data(segments: Sequence[Segment], transform: Strapdown, rate_hz: float) -> InertialData:
+    """Return what sensors are compared in."""
+    return InertialData(segments, transform.inputs, transform.outputs, rate_hz, _WASHOUTS)
+
+
 def _field(
     raw: Sequence[Flight], parameters: Mapping[str, float], signal_hz: float, rate_hz: float
 ) -> dict[str, float]:
     """Return noise and random walk of the magnetic field's direction, as the navigation compares it."""
     transform = Strapdown(parameters, signal_hz, rate_hz)
     flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
-    segments = [InertialSegment(segment.u, segment.y) for flight in flights for segment in flight.segments()]
+    segments = [segment for flight in flights for segment in flight.segments()]
     over_s = max(FIX_S, parameters.get("compass_hold_s", 0.0) / _HELD_PERIODS)
-    values = field_noise(segments, transform.inputs, transform.outputs, rate_hz, _WASHOUT_S, over_s)
+    values = field_noise(_data(segments, transform, rate_hz), over_s)
     return {key: float(f"{value:.3g}") for key, value in values.items()}
 
 
@@ -446,9 +447,8 @@ def _delays(
             segments += transformed(flight.part(start, start + length), transform).segments()
         if not segments:
             raise TelemetryError("no healthy motion in the logs; record the vehicle moving, armed and in the air")
-        longest = [InertialSegment(segment.u, segment.y) for segment in segments if len(segment.u) > 10 * rate_hz]
-        names = transform.inputs, transform.outputs
-        trials[delay] = delay_costs(longest, *names, rate_hz, *_WASHOUTS_S)
+        longest = [segment for segment in segments if len(segment.u) > 10 * rate_hz]
+        trials[delay] = delay_costs(_data(longest, transform, rate_hz))
     return best_delays(trials)
 
 

@@ -74,7 +74,7 @@ def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, ac
     (rad/s): the bandwidth of its estimate, the same for a calm and for a noisy axis. ``accel_rate`` (m/s^2 per second)
     says it of the bias of the vertical accelerometer. The other faults are sensor faults, which may jump.
     """
-    chains = chains_of(fit.inputs, fit.outputs, fit.washout_s, fit.velocity_washout_s)
+    chains = chains_of(fit.inputs, fit.outputs, fit.washouts)
     vertical = [output for output in ("gps_down", "baro_down") if output in fit.outputs]
     bare = bare_positions(fit.inputs, fit.outputs)
     states = [chain.state for chain in chains] + [f"{what}_{axis}" for axis in bare for what in ("position", "speed")]
@@ -89,7 +89,7 @@ def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, ac
         B[k, fit.inputs.index(chain.source)] = gain * fit.speed_scale.get(chain.state, 1.0)
         C[fit.outputs.index(chain.output), k] = 1.0
     for axis in bare:
-        keep, gain = washout(fit.position_washout_s, fit.rate_hz)
+        keep, gain = washout(fit.washouts.bare, fit.rate_hz)
         p, w, a = (
             states.index(f"position_{axis}"),
             states.index(f"speed_{axis}"),
@@ -102,7 +102,7 @@ def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, ac
         k = states.index(f"judged_{output}")
         A[k, k], C[fit.outputs.index(output), k] = _FORGETS, 1.0
     if vertical:
-        keep, gain = washout(fit.washout_s, fit.rate_hz)
+        keep, gain = washout(fit.washouts.position, fit.rate_hz)
         d, w, a = n - 2, n - 1, fit.inputs.index("acceleration_down")
         A[d, d], A[d, w], A[w, w] = keep, gain, 1.0
         B[d, a], B[w, a] = 0.5 * gain * T, T
@@ -162,7 +162,7 @@ def smallest_faults(fit: InertialFit) -> dict[str, float]:
     what a power cable may do. Gyro 0.015 rad/s: a gyro that was calibrated drifts by two thirds of it while it warms up
     (0.015 degrees/s per kelvin over 40 kelvin, BMI088). Accelerometer 0.5 m/s^2: beyond biases that estimators learn.
     """
-    motion = STANDARD_GRAVITY * _TILT * fit.velocity_washout_s
+    motion = STANDARD_GRAVITY * _TILT * fit.washouts.velocity
     sizes = {
         **dict.fromkeys(("gps_north", "gps_east", "gps_down", "baro"), 0.5),
         **dict.fromkeys(MOTION, motion),
@@ -174,7 +174,7 @@ def smallest_faults(fit: InertialFit) -> dict[str, float]:
     }
     if bare_positions(fit.inputs, fit.outputs):
         # the same tilt, integrated twice
-        least = max(0.5, STANDARD_GRAVITY * _TILT * fit.position_washout_s**2)
+        least = max(0.5, STANDARD_GRAVITY * _TILT * fit.washouts.bare**2)
         sizes |= dict.fromkeys(("gps_north", "gps_east"), least)
     present = {name for found in inertial_hypotheses(inertial_plant(fit, "inertial")) for name in found}
     return {name: size for name, size in sizes.items() if name in present}

@@ -7,16 +7,20 @@ sensor is late.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import exp
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.errors import ModelError
+from gains.identification.segment import Segment
 from monitor.vehicles.inertial.strapdown import ACCELEROMETERS
 
+Made = Callable[[NDArray[np.float64], float, float], NDArray[np.float64]]
+"""From an input (N,), its rate and a time constant to what an output should be (N,)."""
 HORIZONTAL = ("north", "east")
 BODY = ("x", "y", "z")
 
@@ -42,12 +46,36 @@ _SMALLEST = 1e-4
 """Least noise and drift, in the unit of the output: keeps the design finite where a simulator has none."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InertialSegment:
-    """Contiguous healthy samples of the transform, one period apart: ``u`` (N, s) and ``y`` (N, p)."""
+class Washouts(NamedTuple):
+    """Time constants of the transform, seconds."""
 
-    u: NDArray[np.float64]
-    y: NDArray[np.float64]
+    position: float  # of positions and angles
+    velocity: float
+    bare: float  # of positions that come without a velocity, twice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialData:
+    """Healthy flight to compare sensors in; ``inputs`` and ``outputs`` name the columns of u and y."""
+
+    segments: Sequence[Segment]  # unbroken, one period from sample to sample
+    inputs: Sequence[str]
+    outputs: Sequence[str]
+    rate_hz: float
+    washouts: Washouts
+
+    def errors(self, source: str, output: str, tau: float, made: Made, settle_s: float) -> list[NDArray[np.float64]]:
+        """Return by how much an output is off what ``made`` makes of an input, without the beginning of segments."""
+        i, j, settle = self.inputs.index(source), self.outputs.index(output), round(settle_s * self.rate_hz)
+        return [(part.y[:, j] - made(part.u[:, i], self.rate_hz, tau))[settle:] for part in self.segments]
+
+    def bare_errors(self, axis: str) -> list[NDArray[np.float64]]:
+        """Return the same of a position that comes without a velocity."""
+        return self.errors(f"acceleration_{axis}", f"gps_{axis}", self.washouts.bare, twice_washed, BARE_SETTLE_S)
+
+    def has(self, source: str, output: str) -> bool:
+        """Return whether both are there."""
+        return source in self.inputs and output in self.outputs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +83,7 @@ class InertialFit:
     """What healthy flights say about how well the sensors agree."""
 
     rate_hz: float
-    # time constants of the transform: of positions and angles, and of the velocity
-    washout_s: float
-    velocity_washout_s: float
-    position_washout_s: float  # that of positions that come without a velocity, twice
+    washouts: Washouts
     # names as the transform gives them
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -83,16 +108,8 @@ class Chain:
     tau: float
 
 
-def identify_inertial(
-    segments: Sequence[InertialSegment],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    rate_hz: float,
-    washout_s: float,
-    velocity_washout_s: float,
-    position_washout_s: float,
-) -> InertialFit:
-    """Measure how well the sensors agree in healthy flight; ``inputs`` and ``outputs`` name the columns of u and y.
+def identify_inertial(data: InertialData) -> InertialFit:
+    """Measure how well the sensors agree in healthy flight.
 
     Noise is what the difference between an output and the integral of its input does within half a second, disturbance
     what it does beyond that within four.
@@ -102,67 +119,71 @@ def identify_inertial(
     ModelError
         Less than 20 s of flight, or nothing to compare.
     """
-    usable = [segment for segment in segments if len(segment.u) > (_SETTLE_S + 2.0 * _SLOW_S) * rate_hz]
-    seconds = sum(len(segment.u) for segment in usable) / rate_hz
+    rate_hz = data.rate_hz
+    usable = [part for part in data.segments if len(part.u) > (_SETTLE_S + 2.0 * _SLOW_S) * rate_hz]
+    seconds = sum(len(part.u) for part in usable) / rate_hz
     if seconds < _LEAST_S:
         raise ModelError(f"only {seconds:.0f} s of healthy recording; at least {_LEAST_S:.0f} s in motion are needed")
-    chains = chains_of(inputs, outputs, washout_s, velocity_washout_s)
-    settle = round(_SETTLE_S * rate_hz)
+    data = replace(data, segments=usable)
+    fit = InertialFit(rate_hz, data.washouts, tuple(data.inputs), tuple(data.outputs), {}, {}, {}, seconds)
+    return _with_vertical(_with_bare_positions(_with_chains(fit, data), data), data)
+
+
+def _with_chains(fit: InertialFit, data: InertialData) -> InertialFit:
+    """Measure the sensors with one state."""
     scale: dict[str, float] = {}
     noise: dict[str, float] = {}
     disturbance: dict[str, float] = {}
-    for chain in chains:
-        i, j = list(inputs).index(chain.source), list(outputs).index(chain.output)
-        x = [washed(segment.u[:, i], rate_hz, chain.tau)[settle:] for segment in usable]
-        y = [segment.y[settle:, j] for segment in usable]
+    settle = round(_SETTLE_S * fit.rate_hz)
+    for chain in chains_of(data.inputs, data.outputs, data.washouts):
+        i, j = data.inputs.index(chain.source), data.outputs.index(chain.output)
+        x = [washed(part.u[:, i], fit.rate_hz, chain.tau)[settle:] for part in data.segments]
+        y = [part.y[settle:, j] for part in data.segments]
         if chain.source.startswith("speed_"):
             scale[chain.state] = _scale(x, y)
             x = [scale[chain.state] * series for series in x]
         errors = [a - b for a, b in zip(y, x, strict=True)]
-        fast = _spread(errors, 1)
-        slow = _spread(errors, round(_SLOW_S * rate_hz))
+        fast, slow = _spread(errors, 1), _spread(errors, round(_SLOW_S * fit.rate_hz))
         noise[chain.output] = max(fast / np.sqrt(2.0), _SMALLEST)
-        growth = np.sqrt(max(slow * slow - fast * fast, 0.0) / (_SLOW_S * rate_hz))
+        growth = np.sqrt(max(slow * slow - fast * fast, 0.0) / (_SLOW_S * fit.rate_hz))
         disturbance[chain.state] = max(float(growth), _SMALLEST)
-    for name in set(ACCELEROMETERS) & set(outputs):
+    for name in set(ACCELEROMETERS) & set(data.outputs):
         noise[name] = disturbance[f"judged_{name}"] = _SMALLEST
-    for axis in bare_positions(inputs, outputs):
-        a, j = list(inputs).index(f"acceleration_{axis}"), list(outputs).index(f"gps_{axis}")
-        found = [
-            (s.y[:, j] - twice_washed(s.u[:, a], rate_hz, position_washout_s))[round(BARE_SETTLE_S * rate_hz) :]
-            for s in usable
-        ]
-        fast, lag = _spread(found, 1), round(position_washout_s * rate_hz)
+    return replace(fit, speed_scale=scale, noise=noise, disturbance=disturbance)
+
+
+def _with_bare_positions(fit: InertialFit, data: InertialData) -> InertialFit:
+    """Measure positions that come without a velocity."""
+    noise, disturbance, rate_hz = dict(fit.noise), dict(fit.disturbance), fit.rate_hz
+    for axis in bare_positions(data.inputs, data.outputs):
+        errors = data.bare_errors(axis)
+        fast, lag = _spread(errors, 1), round(data.washouts.bare * rate_hz)
         noise[f"gps_{axis}"] = max(fast / np.sqrt(2.0), _SMALLEST)
         # a random walk of the speed makes steps^3 / 3 of its variance per step of the position's
-        growth = np.sqrt(3.0 * max(_spread(found, lag) ** 2 - fast**2, 0.0) / lag**3) * rate_hz
+        growth = np.sqrt(3.0 * max(_spread(errors, lag) ** 2 - fast**2, 0.0) / lag**3) * rate_hz
         disturbance[f"speed_{axis}"] = max(float(growth), _SMALLEST)
         disturbance[f"position_{axis}"] = max(0.5 * float(growth) / rate_hz, _SMALLEST)
-    if "acceleration_down" in inputs:
-        _identify_vertical(usable, inputs, outputs, rate_hz, washout_s, noise, disturbance)
-    return InertialFit(
-        rate_hz=rate_hz,
-        washout_s=washout_s,
-        velocity_washout_s=velocity_washout_s,
-        position_washout_s=position_washout_s,
-        inputs=tuple(inputs),
-        outputs=tuple(outputs),
-        speed_scale=scale,
-        noise=noise,
-        disturbance=disturbance,
-        seconds=seconds,
-    )
+    return replace(fit, noise=noise, disturbance=disturbance)
 
 
-def delay_costs(
-    segments: Sequence[InertialSegment],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    rate_hz: float,
-    washout_s: float,
-    velocity_washout_s: float,
-    position_washout_s: float,
-) -> dict[str, float]:
+def _with_vertical(fit: InertialFit, data: InertialData) -> InertialFit:
+    """Measure noise of the altitudes and error of the vertical accelerometer by second differences."""
+    noise, rate_hz, drift = dict(fit.noise), fit.rate_hz, []
+    for output in ("gps_down", "baro_down"):
+        if data.has("acceleration_down", output):
+            errors = data.errors("acceleration_down", output, data.washouts.position, _washed_speed, _SETTLE_S)
+            noise[output] = max(_spread(errors, round(_FAST_S * rate_hz), 2) / np.sqrt(6.0), _SMALLEST)
+            drift.append(_spread(errors, round(_SLOW_S * rate_hz), 2) / _SLOW_S**2)
+    if not drift:
+        return fit
+    down = {
+        "velocity_down": max(min(drift) / rate_hz, _SMALLEST),
+        "down": max(0.5 * min(drift) / rate_hz**2, _SMALLEST),
+    }
+    return replace(fit, noise=noise, disturbance={**fit.disturbance, **down})
+
+
+def delay_costs(data: InertialData) -> dict[str, float]:
     """Return how badly GPS, barometer and compass fit the inertial sensors, for samples of a transform.
 
     Run the transform with all its delays at 0, 0.02, ... 0.3 s: each sensor's delay is that of its least cost.
@@ -175,51 +196,24 @@ def delay_costs(
         standard deviation of their difference over a second (for the barometer of second order over two: accelerometers
         integrate to speed first).
     """
-    names, columns = list(outputs), list(inputs)
-    settle, lag = round(_SETTLE_S * rate_hz), round(rate_hz)
-    pairs = {
-        "gps_delay_s": [(f"acceleration_{axis}", f"gps_velocity_{axis}") for axis in HORIZONTAL],
-        "baro_delay_s": [("acceleration_down", "baro_down")],
-        "compass_delay_s": [("heading_rate", "heading")],
-    }
-    costs = {}
-    for key, compared in pairs.items():
-        errors = []
-        for source, output in compared:
-            if source not in columns or output not in names:
-                continue
-            for segment in segments:
-                rate, y = segment.u[:, columns.index(source)], segment.y[:, names.index(output)]
-                if key == "baro_delay_s":
-                    rate = _speed(rate, rate_hz)
-                tau = velocity_washout_s if key == "gps_delay_s" else washout_s
-                errors.append((y - washed(rate, rate_hz, tau))[settle:])
-        if key == "gps_delay_s" and not errors:
-            errors = [
-                (
-                    segment.y[:, names.index(f"gps_{axis}")]
-                    - twice_washed(segment.u[:, columns.index(f"acceleration_{axis}")], rate_hz, position_washout_s)
-                )[round(BARE_SETTLE_S * rate_hz) :]
-                for axis in bare_positions(inputs, outputs)
-                for segment in segments
-            ]
-        if errors:
-            costs[key] = _spread(errors, 2 * lag, 2) if key == "baro_delay_s" else _spread(errors, lag)
+    tau, costs, lag = data.washouts, {}, round(data.rate_hz)
+    gps = [(f"acceleration_{axis}", f"gps_velocity_{axis}") for axis in HORIZONTAL]
+    errors = [e for pair in gps if data.has(*pair) for e in data.errors(*pair, tau.velocity, washed, _SETTLE_S)]
+    errors = errors or [e for axis in bare_positions(data.inputs, data.outputs) for e in data.bare_errors(axis)]
+    if errors:
+        costs["gps_delay_s"] = _spread(errors, lag)
+    if data.has(*(baro := ("acceleration_down", "baro_down"))):
+        errors = data.errors(*baro, tau.position, _washed_speed, _SETTLE_S)
+        costs["baro_delay_s"] = _spread(errors, 2 * lag, 2)
+    if data.has(*(compass := ("heading_rate", "heading"))):
+        costs["compass_delay_s"] = _spread(data.errors(*compass, tau.position, washed, _SETTLE_S), lag)
     return costs
 
 
-def field_noise(
-    segments: Sequence[InertialSegment],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    rate_hz: float,
-    washout_s: float,
-    over_s: float,
-) -> dict[str, float]:
+def field_noise(data: InertialData, over_s: float) -> dict[str, float]:
     """Return noise and random walk of the magnetic heading against the gyros, from differences over two times."""
-    i, j, settle = list(inputs).index("heading_rate"), list(outputs).index("heading"), round(_SETTLE_S * rate_hz)
-    errors = [(segment.y[:, j] - washed(segment.u[:, i], rate_hz, washout_s))[settle:] for segment in segments]
-    fast, slow = (_spread(errors, round(times * over_s * rate_hz)) for times in (1, 10))
+    errors = data.errors("heading_rate", "heading", data.washouts.position, washed, _SETTLE_S)
+    fast, slow = (_spread(errors, round(times * over_s * data.rate_hz)) for times in (1, 10))
     walk = np.sqrt(max(slow * slow - fast * fast, 0.0) / (9.0 * over_s))
     return {"field_noise": max(fast / np.sqrt(2.0), _SMALLEST), "field_walk": max(float(walk), _LEAST_WALK)}
 
@@ -265,8 +259,9 @@ def bare_positions(inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
     return [axis for axis in HORIZONTAL if f"gps_{axis}" in outputs and f"speed_{axis}" not in inputs]
 
 
-def chains_of(inputs: Sequence[str], outputs: Sequence[str], slow: float, fast: float) -> list[Chain]:
-    """Return the blocks with one state whose signals are there, for the washouts of positions and of the velocity."""
+def chains_of(inputs: Sequence[str], outputs: Sequence[str], washouts: Washouts) -> list[Chain]:
+    """Return the blocks with one state whose signals are there."""
+    slow, fast = washouts.position, washouts.velocity
     found = [
         *(Chain(f"position_{axis}", f"speed_{axis}", f"gps_{axis}", slow) for axis in HORIZONTAL),
         *(Chain(f"velocity_{axis}", f"acceleration_{axis}", f"gps_velocity_{axis}", fast) for axis in HORIZONTAL),
@@ -277,33 +272,6 @@ def chains_of(inputs: Sequence[str], outputs: Sequence[str], slow: float, fast: 
     if not chains:
         raise ModelError("no sensor to compare with another: attitude and gyro are needed, GPS and compass help")
     return chains
-
-
-def _identify_vertical(
-    segments: Sequence[InertialSegment],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    rate_hz: float,
-    washout_s: float,
-    noise: dict[str, float],
-    disturbance: dict[str, float],
-) -> None:
-    """Measure noise of the altitudes and error of the vertical accelerometer by second differences."""
-    a = list(inputs).index("acceleration_down")
-    settle, slow = round(_SETTLE_S * rate_hz), round(_SLOW_S * rate_hz)
-    drift = []
-    for output in ("gps_down", "baro_down"):
-        if output not in outputs:
-            continue
-        j = list(outputs).index(output)
-        errors = []
-        for segment in segments:
-            down = washed(_speed(segment.u[:, a], rate_hz), rate_hz, washout_s)
-            errors.append((segment.y[:, j] - down)[settle:])
-        noise[output] = max(_spread(errors, round(_FAST_S * rate_hz), 2) / np.sqrt(6.0), _SMALLEST)
-        drift.append(_spread(errors, slow, 2) / _SLOW_S**2)
-    disturbance["velocity_down"] = max(min(drift) / rate_hz, _SMALLEST)
-    disturbance["down"] = max(0.5 * min(drift) / rate_hz**2, _SMALLEST)
 
 
 def _scale(x: Sequence[NDArray[np.float64]], y: Sequence[NDArray[np.float64]]) -> float:
@@ -334,6 +302,10 @@ def _speed(acceleration: NDArray[np.float64], rate_hz: float) -> NDArray[np.floa
     """Return the mean speed of each period, from rest."""
     before = np.concatenate([[0.0], np.cumsum(acceleration)[:-1]])
     return np.asarray((before + 0.5 * acceleration) / rate_hz, dtype=np.float64)
+
+
+def _washed_speed(acceleration: NDArray[np.float64], rate_hz: float, tau: float) -> NDArray[np.float64]:
+    return washed(_speed(acceleration, rate_hz), rate_hz, tau)
 
 
 def washout(tau: float, rate_hz: float) -> tuple[float, float]:
