@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -32,6 +33,12 @@ _TYPICAL_RECORD_BYTES = 52
 """Bytes of a log per message: 52 in telemetry logs of the shipped flights, 59 in logs of PX4."""
 
 _KINDS: Mapping[str, RecordingKind] = {".tlog": "tlog", ".mcap": "mcap", ".ulg": "ulog", ".bin": "dataflash"}
+_SCANNERS: Mapping[RecordingKind, tuple[str, str]] = {
+    "tlog": ("adapters.logs.tlog", "TlogReader"),
+    "ulog": ("adapters.logs.ulog", "UlogReader"),
+    "dataflash": ("adapters.logs.dataflash", "DataflashReader"),
+}
+"""Readers of logs whose records are searched for one behind the other, imported where they are used."""
 _COMPRESSED = (".xz", ".gz")
 _SESSION_FILE = re.compile(r"(?P<vehicle>.+)-\d{8}T\d{6}Z-\d+", re.ASCII)
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
@@ -212,23 +219,9 @@ def _open(
 
         mcap = MessageLogReader(file, only, types)
         return mcap.batches(count), mcap.damage
-    reader = _scanner(kind)(file, only, read_ahead_bytes=count * _TYPICAL_RECORD_BYTES)
+    module, name = _SCANNERS[kind]
+    reader = getattr(import_module(module), name)(file, only, read_ahead_bytes=count * _TYPICAL_RECORD_BYTES)
     return reader, lambda: scan_damage(file.name, reader.statistics())
-
-
-def _scanner(kind: RecordingKind) -> Any:
-    """Return the reader of a kind of log whose records are searched for one behind the other."""
-    if kind == "ulog":
-        from adapters.logs.ulog import UlogReader
-
-        return UlogReader
-    if kind == "dataflash":
-        from adapters.logs.dataflash import DataflashReader
-
-        return DataflashReader
-    from adapters.logs.tlog import TlogReader
-
-    return TlogReader
 
 
 def _open_entries(file: Path, only: Collection[str] | None) -> tuple[Iterable[Record], Callable[[], Damage | None]]:
