@@ -1,17 +1,11 @@
-"""JSON Schemas of everything that is published and of operators' commands; also written to ``docs/schemas``.
-
-``python -m monitor.bus.schemas docs/schemas`` writes one file each.
-"""
+"""JSON Schemas of everything that is published and of operators' commands; ``docs/schemas`` has a file of each."""
 
 from __future__ import annotations
 
 import json
-import sys
-from pathlib import Path
 from typing import Any
 
 from adapters.errors import UsageError
-from adapters.output_file import write_file
 from monitor.event import ALARM_FIELDS, AlarmField
 
 _DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
@@ -248,14 +242,3 @@ def schema_text(name: str | None = None) -> str:
     if name is not None and name not in SCHEMAS:
         raise UsageError(f"schema '{name}': there is none; there are {', '.join(SCHEMAS)}")
     return json.dumps(SCHEMAS if name is None else SCHEMAS[name], indent=2, ensure_ascii=False) + "\n"
-
-
-def main(folder: str) -> None:
-    """Write each schema into a folder as ``NAME.json``."""
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    for name in SCHEMAS:
-        write_file(Path(folder) / f"{name}.json", schema_text(name))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1])
