@@ -445,7 +445,7 @@ def way(place: LogSignal | None) -> LogSignal | None:
         return None
     degrees = place.values[:, :2]
     degrees = degrees * np.where(np.nanmax(np.abs(degrees), initial=0.0) > _MOST_DEGREES, 1e-7, 1.0)
-    known = np.isfinite(degrees).all(axis=1) & (place.values[:, 2] >= _FIX_3D)
+    known = np.isfinite(degrees).all(axis=1) & (place.values[:, 2] >= FIX_3D)
     if not known.any():
         return None
     degrees = degrees[known]
@@ -477,7 +477,7 @@ _LIFTED_BY_GPS = 15.0
 """Metres: GPS heights of a receiver that stands drift by some; three times its horizontal 5 m."""
 _DEGREE_M = 111_195.0
 """Metres of a degree on a sphere of the Earth's mean radius, 6371 km: 0.3 % off at most, on a map."""
-_FIX_3D = 3
+FIX_3D = 3
 """A fix in three dimensions: MAVLink's GPS_FIX_TYPE, PX4 and ArduPilot count alike."""
 _MOST_DEGREES = 360.0
 """What is larger is no degree: MAVLink and logs count 1e-7 of one."""

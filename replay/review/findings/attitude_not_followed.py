@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import Floats, LogFacts, LogSignal, degrees_apart, spans_where
-from replay.review.findings.loss_of_control import lost_s, undisturbed
+from replay.review.findings.loss_of_control import FULL, lost_s, undisturbed
 from replay.review.findings.rule import Judgement, Rule
 
 _APART_DEG = 30.0
@@ -16,8 +16,6 @@ tilt, the attitude is at most 24 degrees behind for half a second."""
 _IDLE = 0.4
 """Share of its usual command below which the strongest motor idles. Measured in 24 public logs: idle ones have 0.08 to
 0.26 of it, those that fly 0.61 and more."""
-_FULL = 0.95
-"""Share of full command: an autopilot leaves 5 % (MOT_SPIN_MAX 0.95)."""
 _APART_S = 0.5
 """Chosen: twice the time in which a multirotor rolls by its greatest angle."""
 
@@ -86,7 +84,7 @@ def _saturated(facts: LogFacts, at_s: float) -> tuple[str, tuple[str, ...]]:
     motors = facts.signals["motors"]
     about = motors.during(at_s - 1.0, at_s + 1.0)
     most = zip(about.names, np.nanmax(about.values, axis=0, initial=0.0), strict=True)
-    full = [name for name, value in most if value > _FULL]
+    full = [name for name, value in most if value > FULL]
     if not full:
         return "", ()
     return f", with {' and '.join(full)} at full command", (f"{motors.origin}: {', '.join(full)} at full command",)

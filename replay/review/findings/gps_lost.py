@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from replay.review.facts.log_facts import LogFacts, spans_where
+from replay.review.facts.log_facts import FIX_3D, LogFacts, spans_where
 from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
-_FIX_3D = 3
-"""Of MAVLink's GPS_FIX_TYPE, as of both autopilots."""
 _LEAST_S = 1.0
 """Chosen: five fixes of a receiver of usual rates."""
 
@@ -18,9 +16,9 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     gps = facts.signals["gps"]
     times = gps.time_s
     judged = in_control(facts, times)
-    if not (gps.only[judged] >= _FIX_3D).any():
+    if not (gps.only[judged] >= FIX_3D).any():
         return
-    for start, end in spans_where(times, judged & (gps.only < _FIX_3D), _LEAST_S)[:1]:
+    for start, end in spans_where(times, judged & (gps.only < FIX_3D), _LEAST_S)[:1]:
         fewest = int(gps.during(start, end).values[:, 1].min())
         yield Judgement(
             start_s=start,

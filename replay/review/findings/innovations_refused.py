@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import in_control, lost_s
+from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _REFUSED = 1.0
@@ -18,7 +18,7 @@ _LEAST_S = 1.0
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     ratios = facts.signals["ratios"]
-    times, end_s = ratios.time_s, lost_s(facts)
+    times = ratios.time_s
     judged = in_control(facts, times)
     for k, name in enumerate(ratios.names):
         values = np.nan_to_num(ratios.values[:, k])
@@ -29,7 +29,6 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 end_s=end,
                 text=f"the estimator refused its measurements of {name} for {end - start:.1f} s",
                 evidence=(f"{ratios.origin}: {name} up to {most:.1f} times what it admits, from {start:.1f} s on",),
-                counter=(f"what is left out begins at {end_s:.1f} s",) if end_s < facts.duration_s else (),
             )
 
 

@@ -10,6 +10,8 @@ from replay.review.facts.log_facts import Floats, LogFacts, inside, spans_where
 STOPPED = 0.02
 """Share of full command below which a motor does not turn: under every autopilot's idle (PX4 idles from 0.05 on,
 ArduPilot's SPIN_ARM is 0.1)."""
+FULL = 0.95
+"""Share of full command: an autopilot leaves 5 % (MOT_SPIN_MAX 0.95)."""
 _STOPPED_S = 0.4
 """Chosen: four samples of a log of default rates; a mixer that is saturated takes all motors to zero for less."""
 FELL_M = 2.0

@@ -7,11 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import in_control
+from replay.review.findings.loss_of_control import FULL, in_control
 from replay.review.findings.rule import Judgement, Rule
 
-_FULL = 0.95
-"""Share of full command: an autopilot leaves 5 % (MOT_SPIN_MAX 0.95)."""
 _APART = 0.25
 """Chosen: how much less the others' mean is. Hard climbs take all motors to their most together; turns in yaw, two."""
 _LEAST_S = 1.0
@@ -26,7 +24,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     judged = in_control(facts, times)
     for k, name in enumerate(motors.names):
         others = np.delete(values, k, axis=1)
-        alone = (values[:, k] > _FULL) & (np.median(others, axis=1) < values[:, k] - _APART) & judged
+        alone = (values[:, k] > FULL) & (np.median(others, axis=1) < values[:, k] - _APART) & judged
         for start, end in spans_where(times, alone, _LEAST_S)[:1]:
             mean = float(np.median(others[(times >= start) & (times <= end)]))
             yield Judgement(
@@ -34,7 +32,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 end_s=end,
                 text=f"{name} was at full command for {end - start:.1f} s while the others were at {100 * mean:.0f} %: "
                 "it, its ESC or its propeller gives too little",
-                evidence=(f"{motors.origin}: {name} above {_FULL:.2f}, median of the others {mean:.2f}",),
+                evidence=(f"{motors.origin}: {name} above {FULL:.2f}, median of the others {mean:.2f}",),
                 weight="critical",
             )
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts, spans_where
+from replay.review.facts.log_facts import LogFacts, overlap, spans_where, state_spans
 from replay.review.findings.loss_of_control import STOPPED, in_control
 from replay.review.findings.rule import Judgement, Rule
 
@@ -23,21 +23,10 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     judged = in_control(facts, times)
     for k, name in enumerate(motors.names):
         others = np.median(np.delete(values, k, axis=1), axis=1)
-        marked = [
-            statement
-            for statement in facts.statements
-            if statement.kind == "stopped" and statement.text == name and statement.level
-        ]
+        marks = [(said.time_s, said.level) for said in facts.statements if (said.kind, said.text) == ("stopped", name)]
+        marked = overlap(state_spans(marks, facts.duration_s), facts.flight)
         stopped = spans_where(times, (values[:, k] < STOPPED) & (others > _FLYING) & judged, _LEAST_S)
-        stopped += [
-            (statement.time_s, statement.time_s)
-            for statement in marked
-            if facts.in_flight(np.array([statement.time_s]))[0]
-        ]
-        for start, until in sorted(stopped)[:1]:
-            end = until
-            if until == start:
-                end = float(times[times > start][np.argmax(values[times > start, k] > STOPPED)])
+        for start, end in sorted(stopped + marked)[:1]:
             mean = float(np.median(others[(times >= start) & (times <= end)]))
             said = ("the log marks the output as stopped, not as zero",) if marked else ()
             yield Judgement(
