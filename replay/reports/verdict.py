@@ -41,7 +41,7 @@ def run_sentence(results: Sequence[Finding], facts: LogFacts | None) -> str:
 
 
 def alarm_summary(finding: Finding) -> str:
-    """Return a line about one alarm: from when to when, where, how grave, what, two standard deviations and the peak."""
+    """Return a line about one alarm: when, where, how grave, what, two standard deviations of its size, its peak."""
     alarm, event = finding.alarm, finding.largest
     end = "to the end" if alarm.end_ns is None else f"to {utc(alarm.end_ns)[11:19]}"
     share = finding.relative / finding.size if finding.relative is not None and finding.size else None
