@@ -33,7 +33,7 @@ _MOST_WAITING = 10_000
 """Places that wait for estimates at most, the oldest go. Chosen: more than a batch of a replay holds."""
 EARTH_M = 6378137.0
 """The equator's radius of WGS 84."""
-FIX_2D = 2
+_FIX_2D = 2
 """GPS_FIX_TYPE: a position. Receivers without one say where they last were, or anything."""
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
@@ -149,10 +149,10 @@ def places(columns: Columns) -> Iterator[tuple[int, float, float, float]]:
         return
     rows = len(columns.received_ns)
     numbers = [np.asarray(columns.fields[name], np.float64).reshape(rows, -1)[:, 0] for name in names]
-    fix = np.asarray(columns.fields.get("fix_type", np.full(rows, FIX_2D))).reshape(rows, -1)[:, 0]
-    fixed = ~(fix < FIX_2D)
+    fix = np.asarray(columns.fields.get("fix_type", np.full(rows, _FIX_2D))).reshape(rows, -1)[:, 0]
+    fixed = ~(fix < _FIX_2D)
     for time_ns, place in zip(columns.received_ns[fixed].tolist(), np.column_stack(numbers)[fixed], strict=True):
         latitude, longitude, altitude = (place * scales).tolist()
         # a receiver without a fix says zero for both
-        if math.isfinite(sum(place)) and (latitude or longitude) and abs(latitude) < 90.0:
+        if math.isfinite(sum(place)) and (latitude or longitude) and abs(latitude) < 90.0 and abs(longitude) <= 180.0:
             yield time_ns, latitude, longitude, altitude

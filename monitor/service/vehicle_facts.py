@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from adapters.batch import Batch
 from adapters.errors import printable
-from monitor.recording.foxglove_records import FIX_2D
+from monitor.recording.foxglove_records import places
 
 _TEXTS = 20
 """Messages that are kept. Chosen: an autopilot says fewer in a minute."""
@@ -20,10 +20,6 @@ _CHUNK = 50
 """Letters of a STATUSTEXT that goes on in the next one."""
 _NO_AUTOPILOT = 8
 """MAV_AUTOPILOT_INVALID: the heartbeat of a gimbal or a camera."""
-_DEGREES = 1e-7
-"""MAVLink counts latitudes in ten millionths of a degree."""
-_METRES = 1e-3
-"""MAVLink counts altitudes in millimetres."""
 _NAMES = ("HEARTBEAT", "GLOBAL_POSITION_INT", "GPS_RAW_INT")
 
 
@@ -39,7 +35,11 @@ class VehicleFacts:
         """Take messages of the vehicle."""
         for columns in own.columns:
             if columns.source.is_telemetry and (columns.name in _NAMES or "latitude" in columns.fields):
-                self._number(columns.name, columns.fields)
+                if columns.name == "HEARTBEAT":
+                    self._heartbeat(columns.fields)
+                which = "position" if columns.name == "GLOBAL_POSITION_INT" else "gps"
+                for _, latitude, longitude, altitude in places(columns):
+                    self._facts[which] = [round(latitude, 7), round(longitude, 7), round(altitude, 2)]
         for message in own.others.values():
             if message.name == "STATUSTEXT":
                 self._text(message.received_ns, message.fields)
@@ -48,26 +48,11 @@ class VehicleFacts:
         """Return what is known, as the status has it."""
         return self._facts | {"texts": list(self._texts)}
 
-    def _number(self, name: str, fields: Mapping[str, Any]) -> None:
-        def last(field: str) -> float:
-            value = np.ravel(fields[field][-1])[0] if field in fields else np.nan
-            return float(value)
-
-        if name == "HEARTBEAT":
-            beat = {key: last(key) for key in ("type", "autopilot", "base_mode", "custom_mode")}
-            if beat["autopilot"] != _NO_AUTOPILOT and np.isfinite(list(beat.values())).all():
-                self._facts["heartbeat"] = {key: int(value) for key, value in beat.items()}
-        elif "latitude" in fields:
-            self._place("gps", [last(key) for key in ("latitude", "longitude", "altitude")])
-        elif not last("fix_type") < FIX_2D:  # what has no kind of fix is the autopilot's own position
-            place = [last("lat") * _DEGREES, last("lon") * _DEGREES, last("alt") * _METRES]
-            self._place("gps" if name == "GPS_RAW_INT" else "position", place)
-
-    def _place(self, which: str, place: Sequence[float]) -> None:
-        """Keep latitude and longitude, degrees, and altitude, metres; a receiver without a fix says zero for both."""
-        latitude, longitude, altitude = place
-        if np.isfinite(place).all() and (latitude or longitude) and abs(latitude) <= 90 and abs(longitude) <= 180:
-            self._facts[which] = [round(latitude, 7), round(longitude, 7), round(altitude, 2)]
+    def _heartbeat(self, fields: Mapping[str, Any]) -> None:
+        keys = ("type", "autopilot", "base_mode", "custom_mode")
+        beat = [float(np.ravel(fields[key][-1])[0]) if key in fields else np.nan for key in keys]
+        if beat[1] != _NO_AUTOPILOT and np.isfinite(beat).all():
+            self._facts["heartbeat"] = dict(zip(keys, map(int, beat), strict=True))
 
     def _text(self, received_ns: int, fields: Mapping[str, Any]) -> None:
         text, severity = fields.get("text"), fields.get("severity")
