@@ -129,22 +129,22 @@ class EvidenceFlow:
             lost, came = lost & ~run.unflown[:, None], armed | run.unflown
         is_lost = bool(lost.any())
         self._lost = tuple(self._labels(lost[-1])) if is_lost else ()
-        restarts = samples.restart.nonzero()[0]
+        restarts, cames = samples.restart.nonzero()[0], came.nonzero()[0]
         if restarts.size:
             restart_ns, again_ns = received(int(position[restarts[-1]])), self.settle_ns + _AFTER_RESTART_NS
             for group in self.groups:
                 # Before the first evidence settling begins anew, but not without end.
                 gone_ns = 0 if group.evidence_ns else min(restart_ns - group.since_ns, self.limit_ns + self.settle_ns)
                 group.granted_ns = max(group.granted_ns, gone_ns + again_ns)
-        count = int(np.count_nonzero(armed))
-        if not came.any():
+        if not cames.size:
             return
+        count = cames.size if came is armed else int(np.count_nonzero(armed))
         second = int(samples.vehicle_time_ns[-1]) // SECOND_NS
         if self._seconds and self._seconds[-1][0] == second:
             count += self._seconds.pop()[1]
         self._seconds.append((second, count))
         for group in self.groups:
-            rows = (came & ~lost[:, group.columns].all(axis=1) if is_lost else came).nonzero()[0]
+            rows = (came & ~lost[:, group.columns].all(axis=1)).nonzero()[0] if is_lost else cames
             if rows.size:
                 group.since_ns = group.evidence_ns = received(int(position[rows[-1]]))
                 restarted = restarts.size and restarts[-1] > rows[-1]
@@ -221,6 +221,10 @@ class BlindAlarm:
     def __init__(self, vehicle: str, chains: Sequence[ObserverChain]) -> None:
         self._vehicle = vehicle
         self.flows = [EvidenceFlow(chain) for chain in chains]
+        self._receivers: dict[str, list[EvidenceFlow]] = {}
+        for flow in self.flows:
+            for name in flow.messages:
+                self._receivers.setdefault(name, []).append(flow)
         new = newly_watched(chain.layout.faults for chain in chains)
         # what an observer beside a faster one of the same faults lacks blinds nobody
         self._needed = [flow for flow, faults in zip(self.flows, new, strict=True) if faults]
@@ -247,15 +251,14 @@ class BlindAlarm:
 
     def receive(self, batch: Batch) -> None:
         """Follow when messages of each name came."""
-        entries = [(columns.name, columns.received_ns[[0, -1]].tolist()) for columns in batch.columns]
-        entries += [(message.name, [message.received_ns] * 2) for message in batch.others.values()]
+        entries = [(one.name, int(one.received_ns[0]), int(one.received_ns[-1])) for one in batch.columns]
+        entries += [(message.name, message.received_ns, message.received_ns) for message in batch.others.values()]
         if not self._received and entries:
             self._received = True
-            self.wait_from(min(first_ns for _, (first_ns, _) in entries))
-        for flow in self.flows:
-            for name, (first_ns, last_ns) in entries:
-                if name in flow.messages:
-                    flow.receive(name, first_ns, last_ns)
+            self.wait_from(min(first_ns for _, first_ns, _ in entries))
+        for name, first_ns, last_ns in entries:
+            for flow in self._receivers.get(name, ()):
+                flow.receive(name, first_ns, last_ns)
 
     def pause(self, now_ns: int) -> None:
         """Expect no evidence while telemetry is stale, which its own alarm says; what was overdue before remains so."""

@@ -343,9 +343,9 @@ class ObserverChain:
         """Return what the sampler counted."""
         return self._sampler.statistics()
 
-    def enter(self, phase: FlightPhase) -> None:
+    def enter(self, allowed: bool) -> None:
         """Restart at the next sample where the phase has come to allow evidence."""
-        self._sampler.enter(phase)
+        self._sampler.enter(allowed)
 
     def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase, batch: Batch) -> ChainRun | None:
         """Process n samples of :attr:`sampler`: estimates, and evidence for :func:`alarm_events` to make events of.
@@ -355,15 +355,18 @@ class ObserverChain:
         ``position`` is the place in the batch of the message that completed each (n,); the vehicle's phase is the same
         for all of them and was entered before.
         """
-        raw = self._sampler.supplied(samples, batch, position)
+        raw = self._sampler.gathered(self._sampler.supplied(samples, batch, position))
         if not len(raw):
             return None
-        samples, rows, spread, unflown, beyond = self._sampler.run(raw)
+        given, rows, spread, unflown, beyond = self._sampler.run(raw)
         if self._envelope is not None:
             beyond = self._envelope.run(raw, np.arange(len(raw))[rows])
-        if not len(samples):
+        if not len(given):
             return None
-        run = self.estimate(samples, self._sampler.admitted(samples, phase), position[rows], beyond, spread)
+        if not isinstance(rows, slice):
+            # raw samples of batches before completed nothing
+            position = position[rows - (len(raw) - len(samples))]
+        run = self.estimate(given, self._sampler.admitted(given, phase), position, beyond, spread)
         return run if unflown is None else replace(run, unflown=unflown)
 
     @property

@@ -32,7 +32,7 @@ from monitor.alarms.link_alarms import HEARTBEAT_NS, SET_BACK_NS, LinkAlarms, St
 from monitor.blind import BlindAlarm, Watching
 from monitor.chain import ChainRun, ObserverChain, alarm_events
 from monitor.conditions.condition import FlightCondition
-from monitor.conditions.conditions import make_conditions
+from monitor.conditions.conditions import Conditions, make_conditions
 from monitor.core.arrivals import Arrivals
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimate import Estimates, Layout
@@ -116,9 +116,11 @@ class Pipeline:
         self._gates = [chain.gate for chain in self._chains]
         self._conditions = make_conditions(profile, self._clock)
         self._samplers = [chain.sampler for chain in self._chains]
+        self._stages: list[ObserverChain | Conditions] = [*self._chains]
         if self._conditions is not None:
             # behind those of the observers
             self._samplers.append(self._conditions.sampler)
+            self._stages.append(self._conditions)
         self._wanted = frozenset[str]().union(*(chain.interests for chain in self._chains))
         if any(observer.supply is not None for observer in profile.observers):
             self._wanted |= {BATTERY_MESSAGE}
@@ -355,10 +357,9 @@ class Pipeline:
         )
         segment = reach(arrivals.batch.count)
         before_ns = self._clock.newest_ns
-        for chain in self._chains:
-            chain.enter(self._phase)
-        if self._conditions is not None:
-            self._conditions.enter(self._phase)
+        allowed = allows(self.profile.gate, self._phase)
+        for stage in self._stages:
+            stage.enter(allowed)
         batch = cut(arrivals.batch, start, segment.stop)
         taken = sample_batch(self._clock, self._samplers, batch, stops=True)
         if taken.used < batch.count:

@@ -62,9 +62,9 @@ class Conditions:
         """What turns messages into samples."""
         return self._sampler.sampler
 
-    def enter(self, phase: FlightPhase) -> None:
+    def enter(self, allowed: bool) -> None:
         """Restart at the next sample where the phase has come to allow evidence."""
-        self._sampler.enter(phase)
+        self._sampler.enter(allowed)
 
     def run(self, samples: Samples, phase: FlightPhase) -> None:
         """Take n samples of :attr:`sampler`; the vehicle's phase is the same for all of them and was entered before."""

@@ -151,9 +151,8 @@ class GatedSampler:
         """Restart the samples."""
         self._sampler.restart()
 
-    def enter(self, phase: FlightPhase) -> None:
+    def enter(self, allowed: bool) -> None:
         """Restart the samples where the phase has come to allow evidence."""
-        allowed = allows(self._rule, phase)
         if allowed and not self._allowed:
             self.restart()
         self._allowed = allowed
@@ -167,6 +166,10 @@ class GatedSampler:
             return samples
         return replace(samples, u=samples.u * self._supply.factors(batch, position)[:, None])
 
+    def gathered(self, samples: Samples) -> Samples:
+        """Return samples for :meth:`run`: raw ones together with those before them that completed nothing, or none."""
+        return samples if isinstance(self._sampler, Sampler) else self._sampler.gathered(samples)
+
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that those of :attr:`sampler` give, and the rows that completed them."""
         if isinstance(self._sampler, Sampler):
@@ -179,7 +182,7 @@ class GatedSampler:
 
     def sample(self, batch: Batch, phase: FlightPhase) -> GatedSamples:
         """Return the samples that a batch completes and which are evidence, the phase being the same for all of it."""
-        self.enter(phase)
+        self.enter(allows(self._rule, phase))
         taken = sample_batch(self.sampler.clock, [self.sampler], batch)
         samples = self.run(self.supplied(taken.samples[0], batch, taken.position[0])).samples
         return GatedSamples(samples, self.admitted(samples, phase))

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
-from adapters.sample import Given, Samples
+from adapters.sample import Given, Samples, joined_samples
 from monitor.core.sampling import VehicleClock
 from monitor.sampling.sampler import Sampler, SamplerStatistics
 from monitor.vehicles.kinds import transform_classes
@@ -86,6 +86,22 @@ class TransformedSampler:
     def __init__(self, rule: TransformRule, signals: Sequence[Channel], rate_hz: float, clock: VehicleClock) -> None:
         self._sampler = Sampler(signals, (), rule.rate_hz, clock)
         self._transform = make_transform(rule, rate_hz)
+        self._size = round(rule.rate_hz / rate_hz)
+        self._kept: list[Samples] = []
+
+    def gathered(self, samples: Samples) -> Samples:
+        """Keep raw samples as long as they complete nothing; return those kept with these once they do, else none.
+
+        Transforms give a sample with the first or the last raw sample of one of its periods.
+        """
+        if not len(samples):
+            return samples
+        self._kept.append(samples)
+        kept = sum(map(len, self._kept))
+        if kept < self._size and all(0 < index % self._size < self._size - 1 for index in samples.index.tolist()):
+            return samples.part(0, 0)
+        parts, self._kept = self._kept, []
+        return joined_samples(parts) if len(parts) > 1 else samples
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw samples complete, and the rows of those."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adapters.batch import Batch
+from adapters.batch import Batch, Columns
 from adapters.errors import printable
 from monitor.recording.foxglove_records import places
 
@@ -30,22 +30,27 @@ class VehicleFacts:
         self._facts: dict[str, Any] = {}
         self._texts: deque[dict[str, Any]] = deque(maxlen=_TEXTS)
         self._chunks: tuple[int, str] = (0, "")
+        self._unread: dict[tuple[str, int], Columns] = {}
 
     def take(self, own: Batch) -> None:
         """Take messages of the vehicle."""
         for columns in own.columns:
             if columns.source.is_telemetry and (columns.name in _NAMES or "latitude" in columns.fields):
-                if columns.name == "HEARTBEAT":
-                    self._heartbeat(columns.fields)
-                which = "position" if columns.name == "GLOBAL_POSITION_INT" else "gps"
-                for _, latitude, longitude, altitude in places(columns):
-                    self._facts[which] = [round(latitude, 7), round(longitude, 7), round(altitude, 2)]
+                # only the newest of the time between two statuses is shown
+                self._unread[columns.name, columns.component] = columns
         for message in own.others.values():
             if message.name == "STATUSTEXT":
                 self._text(message.received_ns, message.fields)
 
     def status(self) -> dict[str, Any]:
         """Return what is known, as the status has it."""
+        for columns in self._unread.values():
+            if columns.name == "HEARTBEAT":
+                self._heartbeat(columns.fields)
+            which = "position" if columns.name == "GLOBAL_POSITION_INT" else "gps"
+            for _, latitude, longitude, altitude in places(columns):
+                self._facts[which] = [round(latitude, 7), round(longitude, 7), round(altitude, 2)]
+        self._unread.clear()
         return self._facts | {"texts": list(self._texts)}
 
     def _heartbeat(self, fields: Mapping[str, Any]) -> None:
