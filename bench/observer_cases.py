@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_are
 
 from gains.analysis.augment import augment, error_model
 from gains.plants.discretise import discretise
@@ -75,7 +75,9 @@ def linear_case(count: int, states: int = 12, actuators: int = 5, sensors: int =
     plant = linear_plant(states, actuators, sensors)
     augmentation = augment(plant)
     model = error_model(plant, augmentation)
-    Sigma = solve_discrete_are(model.A[0].T, model.C.T, model.B @ model.B.T, model.D @ model.D.T, s=model.B @ model.D.T)
+    Sigma = scipy.linalg.solve_discrete_are(
+        model.A[0].T, model.C.T, model.B @ model.B.T, model.D @ model.D.T, s=model.B @ model.D.T
+    )
     L = np.linalg.solve(
         model.C @ Sigma @ model.C.T + model.D @ model.D.T, (model.A[0] @ Sigma @ model.C.T + model.B @ model.D.T).T
     ).T

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from gains_samples import multirotor
-from scipy.integrate import solve_ivp
 
 from adapters.errors import ModelError
 from gains.plants.discretise import discretise
@@ -26,7 +26,7 @@ def test_held_signals_move_the_sampled_plant_as_they_move_the_continuous_one() -
     def rate(t: float, state: np.ndarray) -> np.ndarray:
         return plant.A @ state + plant.B @ v + plant.c + plant.G @ g + plant.E_f @ f + plant.E_1 @ w
 
-    expected = solve_ivp(rate, (0.0, 0.05), x, rtol=1e-11, atol=1e-12).y[:, -1]
+    expected = scipy.integrate.solve_ivp(rate, (0.0, 0.05), x, rtol=1e-11, atol=1e-12).y[:, -1]
     found = sampled.A @ x + sampled.B @ v + sampled.c + sampled.G @ g + sampled.E_f @ f + sampled.E_1 @ w
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9)
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import lfilter
 
 from gains.identification.lag import lag_taps, shortened
 
@@ -27,10 +27,10 @@ def test_a_slow_input_after_lag_and_delay_is_followed_within_a_thousandth() -> N
     t = np.arange(0.0, 20.0, 1.0 / RATE_HZ / fine)
     u = np.sin(2 * np.pi * 1.5 * t) + 0.3 * np.cos(2 * np.pi * 4.0 * t)
     keep = np.exp(-1.0 / (RATE_HZ * fine * 0.05))
-    lagged = lfilter([1.0 - keep], [1.0, -keep], np.concatenate([np.zeros(2 * fine), u[: -2 * fine]]))
+    lagged = scipy.signal.lfilter([1.0 - keep], [1.0, -keep], np.concatenate([np.zeros(2 * fine), u[: -2 * fine]]))
     means = np.asarray(lagged).reshape(-1, fine).mean(axis=1)
     taps = lag_taps(np.array([0.02, 0.05, 0.0]), RATE_HZ)
-    followed = lfilter(taps, [1.0], u[::fine])
+    followed = scipy.signal.lfilter(taps, [1.0], u[::fine])
     assert np.abs(np.asarray(followed) - means)[200:].max() < 2e-3
 
 

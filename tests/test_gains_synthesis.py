@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from gains_samples import flying_multirotor, integrator_with_drift, multirotor, random_plant, sine
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import solve_discrete_lyapunov
 
 import gains.synthesis.convex
 from adapters.errors import InaccurateError, InfeasibleError, ModelError
@@ -457,7 +457,7 @@ def h2_norms(plant: Plant, design: Design) -> list[float]:
     C_e, D_e = model.output(design.gains.L_p)
     size = model.sizes
     A_e, B_e, C_e = model.A - injection @ model.C, (model.B - injection @ model.D) / size[:, None], C_e * size
-    gramians = [solve_discrete_lyapunov(vertex * size / size[:, None], B_e @ B_e.T) for vertex in A_e]
+    gramians = [scipy.linalg.solve_discrete_lyapunov(vertex * size / size[:, None], B_e @ B_e.T) for vertex in A_e]
     return [float(np.sqrt(np.trace(C_e @ X @ C_e.T) + np.sum(D_e**2))) for X in gramians]
 
 

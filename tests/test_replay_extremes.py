@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.signal import lfilter
-from scipy.stats import t as student
 
 from monitor.alarms.alarm import Alarm, AlarmRule
 from monitor.core.alarms import ChainRows, walk
@@ -25,7 +24,7 @@ def gaussian(rng: np.random.Generator, size: int, correlation_s: float) -> NDArr
     """Return sizes of a stationary Gaussian AR(1) of unit variance."""
     keep = np.exp(-1.0 / (RATE_HZ * correlation_s))
     noise = rng.normal(size=size + 1000)
-    return np.abs(lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], noise)[1000:])
+    return np.abs(scipy.signal.lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], noise)[1000:])
 
 
 def exceeded(alarms_per_hour: float) -> float:
@@ -62,7 +61,7 @@ def test_correlated_gaussian_data_is_not_judged_too_low(correlation_s: float) ->
 
 
 def test_heavy_tails_are_seen_and_reach_higher_than_light_ones() -> None:
-    truth = float(student.isf(exceeded(1.0) / 2.0, 5))
+    truth = float(scipy.stats.t.isf(exceeded(1.0) / 2.0, 5))
     levels = [
         return_level([np.abs(np.random.default_rng(seed).standard_t(5, size=minutes(6)))], RATE_HZ, 1.0)
         for seed in range(TRIALS)
@@ -176,7 +175,7 @@ def test_an_alarm_is_raised_first_where_the_standing_size_reaches_its_threshold(
     seed: int, samples: int, threshold: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    values = np.concatenate([[0.0], np.abs(lfilter([0.3], [1.0, -0.9], rng.normal(size=400)))])
+    values = np.concatenate([[0.0], np.abs(scipy.signal.lfilter([0.3], [1.0, -0.9], rng.normal(size=400)))])
     rule = AlarmRule("motors", "motor1", "actuator", "", threshold, 0.0, 99.0, samples / 100.0, 1.0)
     alarm = Alarm(rule, "copter")
     index, always = np.arange(len(values)), np.ones((len(values), 1), np.bool_)
