@@ -28,7 +28,9 @@ def test_what_waits_at_the_end_is_taken_within_the_time_there_is(
     quad_profile: Profile, inbox: Inbox, patience_s: float, taken: int
 ) -> None:
     vehicle = VehicleMonitor(Pipeline(quad_profile, "one", 1), (), None, lambda event: None, 0)
-    daemon = Daemon(inbox, Fleet([vehicle]), lambda: (), lambda: (), lambda now_ns: False)
+    signs: list[None] = []
+    daemon = Daemon(inbox, Fleet([vehicle]), lambda: (), lambda: (), lambda now_ns: False, lambda: signs.append(None))
     daemon.finish(patience_s)
+    assert bool(signs) == bool(taken)
     assert vehicle.messages == taken
     assert inbox.statistics().waiting == WAITING - taken

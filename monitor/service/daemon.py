@@ -1,7 +1,7 @@
 """The daemon's loop: batches from the inbox to their vehicles, and periodic work in between.
 
 Everything that decides sits in the vehicles' pipelines, which read no clock; the loop moves messages, lets time pass
-where nothing comes, and tells the watchdog that it is alive.
+where nothing comes, and says after each vehicle that it is alive.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ class Daemon:
 
     ``services`` returns the vehicles' services, which may become more; ``troubles`` what is wrong with links and disks,
     for the status; ``every_turn`` is called about twenty times a second with the steady time, for reloads and retries,
-    and returns whether to go on. ``batch_s`` is how long links let telemetry wait to form batches.
+    and returns whether to go on; ``alive`` after each vehicle, for with little time for its fleet a turn is as long as
+    one that hangs. ``batch_s`` is how long links let telemetry wait to form batches.
 
     What is due goes by the steady time (nanoseconds of the monotonic clock), which nobody sets; Unix time only stamps.
     """
@@ -38,6 +39,7 @@ class Daemon:
         services: Callable[[], Sequence[VehicleService]],
         troubles: Callable[[], Sequence[str]],
         every_turn: Callable[[int], bool],
+        alive: Callable[[], None],
         batch_s: float = 0.0,
     ) -> None:
         self._inbox = inbox
@@ -45,6 +47,7 @@ class Daemon:
         self._services = services
         self._troubles = troubles
         self._every_turn = every_turn
+        self._alive = alive
         self._held_ns = round(1e9 * batch_s)
 
     def run(self) -> None:
@@ -57,9 +60,11 @@ class Daemon:
             if steady_ns >= due_ns:
                 due_ns = steady_ns + _EVERY_NS
                 running = self._every_turn(steady_ns)
+                self._alive()
                 troubles = self._troubles()
                 for service in self._services():
                     service.work(steady_ns, time.time_ns(), troubles)
+                    self._alive()
             self._process(arrivals)
             # Time may pass only where nothing older waits, here or in the links: it would end a silence.
             if self._inbox.empty:
@@ -76,3 +81,4 @@ class Daemon:
     def _process(self, arrivals: Sequence[Arrival]) -> None:
         for vehicle, batch in self._fleet.routed(arrivals):
             vehicle.process(batch, time.time_ns)
+            self._alive()

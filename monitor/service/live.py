@@ -73,7 +73,13 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         stack.callback(watchdog.close)
         turns = _Turns(received, station, inbox, notifier, watchdog, FirstLook(links, log), undecided=refuse)
         daemon = Daemon(
-            inbox, station.fleet, lambda: station.services, station.troubles, turns.turn, config.batch_ms / 1e3
+            inbox,
+            station.fleet,
+            lambda: station.services,
+            station.troubles,
+            turns.turn,
+            turns.alive,
+            config.batch_ms / 1e3,
         )
         daemon.run()
         watchdog.close()
@@ -141,10 +147,13 @@ class _Turns:
         self.station.turn(steady_ns)
         if self.station.reloads != reloads:
             self.notifier.ready(f"monitoring {len(self.station.services)} vehicles")
-        self.notifier.feed(not self.inbox.stuck())
-        self.watchdog.feed()
         self.first_look.turn(steady_ns)
         return self.other is None and signal.SIGINT not in new and signal.SIGTERM not in new
+
+    def alive(self) -> None:
+        """Tell both watchdogs that the loop goes on."""
+        self.notifier.feed(not self.inbox.stuck())
+        self.watchdog.feed()
 
 
 def _open_journal(config: Config, log: ServiceLog, stack: ExitStack) -> BackgroundJournal | None:

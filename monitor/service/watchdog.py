@@ -11,8 +11,8 @@ from collections.abc import Callable
 _TICK_S = 1.0
 """Chosen: ten of them are counted exactly enough, and waking once a second costs nothing."""
 LIMIT = 10
-"""Ticks without a turn of the loop. Chosen: as long as the unit's own watchdog waits, twice as long as ``/healthz``
-does; no turn takes a tenth of it."""
+"""Ticks in which the loop was done with no vehicle. Chosen: as long as the unit's own watchdog waits, twice as long as
+``/healthz`` does; one vehicle's part of a turn takes no hundredth of it."""
 _SAY_S = 1.0
 """For the tracebacks: standard error may be a pipe that nobody reads."""
 
