@@ -60,6 +60,21 @@ def test_nothing_is_named_in_healthy_flight() -> None:
     assert others(named(noisy(120.0, 1)), "") == 0.0
 
 
+def test_gyros_that_are_later_than_accelerometers_make_no_fault_in_fast_turns() -> None:
+    t, late_s = np.arange(12_000) / truth.SIGNAL_HZ, 0.06
+    rate, speed = 2.0 * np.tanh(20.0 * np.sin(0.5 * t)), 5.0
+    yaw = np.cumsum(rate) / truth.SIGNAL_HZ
+    raw = np.zeros((len(t), 18))
+    raw[:, 1], raw[:, 2] = speed * rate, -9.80665
+    raw[:, 5] = np.interp(t - late_s, t, rate)
+    raw[:, 8], raw[:, 9:11], raw[:, 12], raw[:, 13] = yaw, truth.HOME, speed, np.degrees(yaw) % 360.0
+    # the field agrees with the gyros
+    raw[:, MAG] = np.column_stack(
+        [0.21 * np.cos(yaw - late_s * rate), -0.21 * np.sin(yaw - late_s * rate), np.full(len(t), 0.43)]
+    )
+    assert others(named(raw, {**FIELD, "field_noise": 0.001}), "") == 0.0
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("size", [0.02, 0.1])
 def test_a_bias_of_all_gyros_is_named_although_the_attitude_follows_it(axis: int, size: float) -> None:

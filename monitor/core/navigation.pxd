@@ -15,7 +15,7 @@ cdef inline double wrapped(double angle) noexcept:
 
 
 cdef enum:
-    STATES = 11
+    STATES = 12
     HYPOTHESES = 10
     ONSETS = 30
 
@@ -37,7 +37,10 @@ cdef class Navigation:
     cdef bint _begun, _turned
     cdef double[9] _R
     cdef double[3] _rate
-    cdef double[3] _force
+    # The force in the axes of the gyros, how it turns with them, north, east, down, and how late they are.
+    cdef double[3] _aligned
+    cdef double[3] _swing
+    cdef double _late_s
     cdef double[2] _velocity
     # By how much the GPS's velocity is off, by how much more each second, and whether it ramped there; how far the
     # newest velocity or field was off that may be a step, and for how many of them that has been so.
@@ -79,6 +82,7 @@ cdef class Navigation:
         self, const double* force, const double* rate, const double* R, const double* field, bint lacks,
         double* acceleration
     ) noexcept
+    cdef void align(self, const double* force, const double* rate, double* aligned, double* swing) noexcept
     cdef void point(self, const double* field, const double* R) noexcept
     cdef void meet(self, const double* velocity) noexcept
     cdef bint believed(self) noexcept
