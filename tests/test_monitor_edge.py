@@ -42,6 +42,14 @@ def test_a_ramp_is_no_edge(slope: float) -> None:
     assert not run(values, smallest=0.2)[130:].any()
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(("left", "is_edge"), [(0.3, False), (0.6, True), (0.9, True), (1.2, True), (1.5, False)])
+def test_a_jump_of_which_attitudes_take_up_less_than_half_is_an_edge(left: float, is_edge: bool, sign: float) -> None:
+    faded = np.interp(np.arange(300), [106, 113, 300], [1.0, left, left])
+    held = run(np.where(np.arange(300) >= 100, sign * faded, 0.0))
+    assert (held[125] != 0.0) == is_edge
+
+
 def test_a_jump_that_the_sensor_alone_does_not_explain_is_no_edge() -> None:
     assert not run(step(0.5), J=np.full(300, 20.0)).any()
 

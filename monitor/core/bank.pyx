@@ -34,6 +34,9 @@ cdef double SECOND_APART = 0.25
 # A level is flat where it moves by less than this share of the step. A ramp through the window moves a level by
 # flat / (gap + mean), 1.7 steps; chosen: far below that, and enough for noise of an eighth of the step.
 cdef double EDGE_SHARE = 0.25
+# Share that an edge may lose meanwhile: a ramp goes on, but attitudes follow a sensor that jumped and take that back.
+# Chosen: as for the end of an edge, halfway to a jump that is over.
+cdef double EDGE_FADED = 0.5
 # An edge that leaves less than this share of itself of the sum that is held has ended it. Chosen: halfway between a
 # sensor that is back where it was and one that jumped once more.
 cdef double EDGE_CANCELLED = 0.5
@@ -361,8 +364,8 @@ cdef class EdgeDetector:
 
     A sensor fault is estimated without any assumption about how it moves, so it can explain whatever its output does:
     the estimate of a gyro bias takes up a failing motor as well. A jump of the sensor makes an edge, which a push on
-    the plant cannot make: flat, then another level within a few samples, then flat again, while the hypothesis of this
-    sensor leaves no more unexplained than healthy flight does. The size of the edge is held until an opposite one
+    the plant cannot make: flat, then another level within a few samples, of which more than half stays, while the
+    hypothesis of this sensor leaves no more unexplained than healthy flight. The size is held until an opposite one
     cancels it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell. An opposite edge that
     comes later is its end, and no fault of its own. Lines that bridge lost measurements are flat and have corners:
     where more than three in five of the samples around an edge are bridged, it does not count.
@@ -456,8 +459,8 @@ cdef class EdgeDetector:
         self.filled = min(self.filled + 1, self.size)
 
     cdef double step(self) noexcept:
-        """Return the step from before the gap to after it, zero where the estimate is not flat on both sides."""
-        cdef double step, swing
+        """Return the step from before the gap to after it, zero where the estimate was not flat or goes on or back."""
+        cdef double step, on
         cdef Py_ssize_t rows
         if self.loud or self.filled < self.size or self.bridged > EDGE_BRIDGED * self.size:
             return 0.0
@@ -465,12 +468,14 @@ cdef class EdgeDetector:
             if self.is_bridged[(self.head + self.size - rows) % self.size]:
                 return 0.0
         step = self.back(self.after) - self.back(self.before)
-        swing = max(
-            fabs(self.back(0) - self.back(self.after)),
-            fabs(self.back(self.middle) - self.back(self.after)),
-            fabs(self.back(self.before) - self.back(self.size - 1)),
-        )
-        return step if swing < EDGE_SHARE * fabs(step) else 0.0
+        if fabs(self.back(self.before) - self.back(self.size - 1)) >= EDGE_SHARE * fabs(step):
+            return 0.0
+        for rows in (0, self.middle):
+            # as a share of the step, further in its direction
+            on = (self.back(rows) - self.back(self.after)) / step
+            if not -EDGE_FADED < on < EDGE_SHARE:
+                return 0.0
+        return step
 
     cdef double back(self, Py_ssize_t rows) noexcept:
         return self.means[(self.head + self.size - rows) % self.size]
