@@ -1,6 +1,7 @@
 """Telemetry that comes too seldom is told: by the fit, by info, by what a replay could not check."""
 
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,26 +11,27 @@ import fauio
 from adapters.channels import Channel
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import read_recording
-from monitor.profile import Profile
+from monitor.profile import Profile, read_profile
 from monitor.sampling.slow_telemetry import SELDOM, motor_gain, slow_messages, slow_text, spanned
 from replay.inspection.log_info import log_info
 
 FAST = ("ATTITUDE", "HIGHRES_IMU", "SERVO_OUTPUT_RAW")
 
 
+def thinned(folder: Path, flight: Path, every: int) -> Path:
+    """Return a flight with one in so many of its frequent messages."""
+    path, seen = folder / "slow.mcap", Counter[str]()
+    with MessageLogWriter(path) as writer:
+        for message in read_recording(flight):
+            seen[message.name] += 1
+            if message.name not in FAST or seen[message.name] % every == 0:
+                writer.write(message)
+    return path
+
+
 @pytest.fixture(scope="module")
 def slow_log(tmp_path_factory: pytest.TempPathFactory, data: Path) -> Path:
-    """Return a flight with one in ten of its frequent messages."""
-    path = tmp_path_factory.mktemp("slow") / "slow.mcap"
-    seen = dict.fromkeys(FAST, 0)
-    with MessageLogWriter(path) as writer:
-        for message in read_recording(data / "copter_healthy_square.tlog.xz"):
-            if message.name in seen:
-                seen[message.name] += 1
-                if seen[message.name] % 10:
-                    continue
-            writer.write(message)
-    return path
+    return thinned(tmp_path_factory.mktemp("slow"), data / "copter_healthy_square.tlog.xz", 10)
 
 
 def test_slow_messages_are_those_far_below_what_is_wanted_and_not_slow_by_nature() -> None:
@@ -78,6 +80,18 @@ def test_info_names_the_messages_that_come_too_seldom(slow_log: Path, data: Path
     assert "ATTITUDE at 25 Hz: it comes at 10 Hz" in vehicle["fits"]["inertial"]["missing"]
     whole = log_info(data / "copter_healthy_square.tlog.xz")["vehicle"]["fits"]
     assert whole["multirotor"]["missing"] == whole["inertial"]["missing"] == []
+
+
+@pytest.mark.long
+def test_at_one_sample_a_second_info_says_so_and_position_is_watched(data: Path, tmp_path: Path) -> None:
+    log = thinned(tmp_path, data / "copter_healthy_square.tlog.xz", 100)
+    missing = log_info(log)["vehicle"]["fits"]["inertial"]["missing"]
+    assert "HIGHRES_IMU at 25 Hz: it comes at 1 Hz" in missing
+    assert [lack for lack in missing if "no HIGHRES_IMU" in lack and lack.endswith("of 10 Hz or more")]
+    assert fauio.main(["fit", "--vehicle", "inertial", str(log), "-o", str(tmp_path / "quad")]) == 0
+    watched = {alarm.channel for alarm in read_profile(tmp_path / "quad").observers[0].alarms}
+    assert {"gps_north", "gps_east", "baro"} <= watched
+    assert "accel_x" not in watched
 
 
 def test_an_observer_names_messages_between_which_it_takes_many_samples(quad_profile: Profile) -> None:
