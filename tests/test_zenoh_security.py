@@ -286,7 +286,7 @@ def test_viewers_get_alarms_as_without_access_control_and_vehicles_none(site: Si
                 while (found := alarms[name].receive(0.2)) is None or found.seq != seq:
                     pass
         for name in ("viewer", "operator"):
-            assert alarms[name].live == {"copter-1"}
+            until(lambda name=name: alarms[name].live == {"copter-1"})
             (reply,) = (reply for reply in clients[name].get("fauio/copter-1/alarms", timeout=5.0) if reply.ok)
             assert reply.ok is not None
         assert alarms["vehicle"].receive(0.3) is None
