@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-import tlog_sender
 
 import fauio
 from adapters.logs.recordings import read_recording
@@ -68,7 +67,8 @@ def wait_for_monitor(subscriber: AlarmSubscriber) -> None:
 def send(live: Live, log: Path, speed: float) -> None:
     command = [
         sys.executable,
-        tlog_sender.__file__,
+        "-m",
+        "adapters.simulation.tlog_sender",
         str(log),
         f"udp:{live.udp}",
         "--speed",

@@ -9,14 +9,14 @@ import threading
 from pathlib import Path
 
 import pytest
-import tlog_sender
-from tlog_sender import main, send_tlog
 
 from adapters.batch import messages as each
 from adapters.errors import TelemetryError
 from adapters.logs.tlog import read_tlog
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.message import Message
+from adapters.simulation.tlog_sender import main, send_tlog
+from replay.demonstration.demo import _copter_scene
 
 ROOT = Path(__file__).parent.parent
 FLIGHT = ROOT / "tests" / "data" / "copter_5s.tlog.xz"
@@ -75,7 +75,8 @@ def test_a_part_of_the_log_is_sent(port: int) -> None:
 def test_another_process_sends_from_the_command_line(port: int) -> None:
     command = [
         sys.executable,
-        tlog_sender.__file__,
+        "-m",
+        "adapters.simulation.tlog_sender",
         str(FLIGHT),
         f"udp:127.0.0.1:{port}",
         "--speed",
@@ -89,6 +90,17 @@ def test_another_process_sends_from_the_command_line(port: int) -> None:
         _, said = sender.communicate()
     assert sender.returncode == 0
     assert said.endswith(" packets sent\n")
+
+
+def test_the_demonstrations_flight_is_sent(port: int) -> None:
+    with _copter_scene() as scene, MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
+        sender = subprocess.Popen(scene.sender(f"127.0.0.1:{port}", 50.0), cwd=ROOT, stderr=subprocess.PIPE)
+        received: list[Message] = []
+        while len(received) < 100:
+            assert sender.poll() is None
+            received += each(link.receive(0.2))
+        sender.kill()
+        sender.communicate()
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Sends a telemetry log over UDP as if live: ``python tests/tools/tlog_sender.py FLIGHT udp:HOST:PORT``."""
+"""Sends a telemetry log over UDP as if live: ``python -m adapters.simulation.tlog_sender FLIGHT udp:HOST:PORT``."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _renumbered(packets: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, byt
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run from the command line; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python tests/tools/tlog_sender.py", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m adapters.simulation.tlog_sender", description=__doc__)
     parser.add_argument("log", help="telemetry log (.tlog, .tlog.xz, .tlog.gz)")
     parser.add_argument("to", help="udp:HOST:PORT")
     parser.add_argument("--speed", type=float, default=1.0, help="times real time (default 1)")
