@@ -192,7 +192,8 @@ def test_a_bound_of_the_gains_is_kept_on_the_arm(name: str, rate: float, share: 
     design = design_convex(plant, rate, gain_bound=bound)
     assert_proven(plant, design)
     assert design.gains.gain_max_abs <= bound == design.gain_bound
-    assert design.mu > free.mu
+    # as exactly as the solver finds both: 1e-4 apart where the bound costs nothing, either way by processor
+    assert design.mu > free.mu * (1.0 - 1e-3)
 
 
 def test_a_bound_that_the_best_gains_keep_changes_nothing() -> None:
