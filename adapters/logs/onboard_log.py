@@ -7,6 +7,7 @@ and notes only where they begin; :class:`Records` then decodes all of a kind at 
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -343,7 +344,7 @@ class Window:
         return self._source.damaged
 
 
-class OnboardLogReader:
+class OnboardLogReader(ABC):
     """Reads an onboard log in the order it was written, over damage if need be, as batches.
 
     Time of arrival is the record's own time since boot on the relation of boot to UTC in the first position fix in the
@@ -419,30 +420,30 @@ class OnboardLogReader:
         fixes = type(self)(self._path, self.fixes, clock=LogClock(0, start))
         return LogClock(first_relation(fixes, self.fix_fields, self.relation) or 0, start)
 
+    @abstractmethod
     def _begin(self) -> None:
         """Set up what is known of the kinds of records before the first."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _open(self, window: Window) -> None:
         """Step over what is no record at the beginning; raise TelemetryError where the file is no such log."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _chain(self, window: Window, records: Records) -> None:
         """Take the records that follow one another among the bytes held."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _single(self, window: Window, records: Records) -> bool:
         """Go on from what ends a chain to where the next record is; return whether there may be any."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _standing(self, window: Window, searched: int) -> int | None:
         """Return how many bytes ahead the next record begins that is one for certain."""
-        raise NotImplementedError
 
     @staticmethod
+    @abstractmethod
     def relation(boot_ns: NDArray[np.int64], *fields: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return UTC minus time since boot by n fixes, and where it can be that: see :func:`first_relation`."""
-        raise NotImplementedError
 
     def _skip(self, window: Window, count: int) -> None:
         taken = count if window.fill(count) else window.left
