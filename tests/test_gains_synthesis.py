@@ -177,7 +177,8 @@ def test_without_slopes_there_is_nothing_to_be_free_of() -> None:
 @pytest.mark.parametrize(
     ("name", "rate", "share"),
     [
-        pytest.param("arm", 10.0, 0.8, marks=LONG),
+        # at 0.8 gains of the same mu are to be had, and which is less by 1e-4 depends on the processor
+        pytest.param("arm", 10.0, 0.4, marks=LONG),
         ("arm-disturbed", 100.0, 0.2),
         ("arm-disturbed", 1000.0, 0.2),
         pytest.param("arm", 100.0, 0.2, marks=LONG),
@@ -192,8 +193,7 @@ def test_a_bound_of_the_gains_is_kept_on_the_arm(name: str, rate: float, share: 
     design = design_convex(plant, rate, gain_bound=bound)
     assert_proven(plant, design)
     assert design.gains.gain_max_abs <= bound == design.gain_bound
-    # as exactly as the solver finds both: 1e-4 apart where the bound costs nothing, either way by processor
-    assert design.mu > free.mu * (1.0 - 1e-3)
+    assert design.mu > free.mu
 
 
 def test_a_bound_that_the_best_gains_keep_changes_nothing() -> None:
