@@ -64,6 +64,15 @@ def test_a_file_that_is_not_there_is_reported_at_once(tmp_path: Path) -> None:
         read_recording(tmp_path / "a.tlog")
 
 
+def test_mistakes_in_a_mapping_are_told_of_recordings_that_need_none_too(tmp_path: Path) -> None:
+    mapping = tmp_path / "mine.toml"
+    mapping.write_text("[[ATITUDE]]\ntopic = 'a'\n")
+    with pytest.raises(TelemetryError, match="is no MAVLink message"):
+        read_recording(FLIGHT, mapping=mapping)
+    mapping.write_text("ATTITUDE = []\n")
+    assert len(list(read_recording(FLIGHT, {"ATTITUDE"}, mapping))) == len(list(read_recording(FLIGHT, {"ATTITUDE"})))
+
+
 def write(path: Path, *numbers: int) -> None:
     with MessageLogWriter(path) as log:
         for number in numbers:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dataflash_writer import DataflashWriter
 from foreign_logs import ARM_DEFINITION, ARM_TYPE, START_NS, arm_rows, ros2_bag, stamp
 from ulog_writer import UlogWriter
 
@@ -347,3 +348,22 @@ def test_an_onboard_log_says_its_inputs_frame_and_the_kind_of_its_sensors(
     assert "vehicle_magnetometer at 10 Hz: it comes at 2 Hz" in fits["inertial"]["missing"][-1]
     assert found["systems"][0]["armed_s"] == pytest.approx(3.98, abs=0.05)
     assert [system["system"] for system in found["systems"]] == [1]
+
+
+def test_a_log_whose_heartbeat_says_no_type_has_that_of_its_firmware_and_parameters(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = DataflashWriter()
+    for name, codes, columns in (
+        ("MSG", "QZ", "TimeUS,Message"),
+        ("PARM", "QNf", "TimeUS,Name,Value"),
+        ("ARM", "QBI", "TimeUS,ArmState,ArmChecks"),
+    ):
+        log.define(name, codes, columns)
+    log.add("MSG", 1, "ArduCopter V4.5.1 (0123abcd)")
+    log.add("PARM", 2, "FRAME_CLASS", 2.0)
+    log.add("ARM", 1_000_000, 1, 0)
+    log.add("ARM", 9_000_000, 0, 0)
+    path = tmp_path / "a.bin"
+    path.write_bytes(log.data)
+    assert "system 1: hexarotor of ardupilotmega" in told(capsys, path)

@@ -234,12 +234,13 @@ def _open_entries(file: Path, only: Collection[str] | None) -> tuple[Iterable[Re
 
 def _tables(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | None) -> LogMapping | None:
     """Return what an onboard log's records stand for, None where the recording is no onboard log."""
-    source = onboard_source(path)
-    if source is None:
-        return None
-    from adapters.logs.log_mapping import builtin_mapping, read_mapping
+    from adapters.logs.log_mapping import ONBOARD_SOURCES, builtin_mapping, read_mapping
 
-    return builtin_mapping(source) if mapping is None else read_mapping(mapping, source)
+    source = onboard_source(path)
+    if mapping is None:
+        return None if source is None else builtin_mapping(source)
+    tables = read_mapping(mapping, source or ONBOARD_SOURCES[0])  # its mistakes are told whatever the recording is
+    return tables if source else None
 
 
 def read_recording(

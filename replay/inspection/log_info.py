@@ -132,6 +132,10 @@ class _Tally:
             sender.messages += len(received_ns)
             sender.components.add(messages.component)
 
+    def said(self, system: int) -> Reports:
+        """Return what a system said of itself, with what an onboard log's own records, which have no system, say."""
+        return self.senders.get(0, _Sender()).reports.joined(self.senders[system].reports)
+
     def watch(self, batches: Iterable[Batch]) -> Iterator[Batch]:
         """Yield the messages of the vehicle that a fit would take, and note which it is."""
         for batch in of_one_vehicle(batches):
@@ -185,7 +189,7 @@ def log_info(path: Path) -> dict[str, Any]:
         "count": tally.counts.total(),
         "messages": {name: _message(name, tally, surveyed) for name in sorted(tally.counts)},
         "link": tally.link.figures().rounded(),
-        "systems": [_system(number, sender) for number, sender in sorted(tally.senders.items()) if sender.messages],
+        "systems": [_system(number, tally) for number, sender in sorted(tally.senders.items()) if sender.messages],
         "vehicle": _fits(surveyed, tally, recording.topics),
         "fields": {name: _paths(fields) for name, fields in sorted(tally.examples.items())},
         "recorded": recorded_metadata(path) or None,
@@ -201,11 +205,14 @@ def _message(name: str, tally: _Tally, surveyed: Survey) -> dict[str, Any]:
     return {"count": count, "rate_hz": tally.rates[name].hz if rate is None else rate}
 
 
-def _system(number: int, sender: _Sender) -> dict[str, Any]:
+def _system(number: int, tally: _Tally) -> dict[str, Any]:
+    sender = tally.senders[number]
+    # logs of ArduPilot hold no HEARTBEAT that says the type: what is made of them is "generic" (0)
+    known = "" if sender.type else tally.said(number).identity.vehicle_type.replace(" ", "_")
     return {
         "system": number,
         "components": sorted(sender.components),
-        "type": None if sender.type is None else enumerated("MAV_TYPE", sender.type),
+        "type": known or (None if sender.type is None else enumerated("MAV_TYPE", sender.type)),
         "autopilot": None if sender.autopilot is None else enumerated("MAV_AUTOPILOT", sender.autopilot),
         "messages": sender.messages,
         "heartbeats": sender.heartbeats,
@@ -215,8 +222,7 @@ def _system(number: int, sender: _Sender) -> dict[str, Any]:
 
 def _fits(surveyed: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[str, Any] | None:
     """Return which observers could be fitted to the vehicle's messages, None where there is no vehicle."""
-    sender = None if tally.watched is None else tally.senders.get(tally.watched)
-    if sender is None:
+    if tally.watched is None:
         fits = {kind.name: _fit(kind, surveyed) for kind in KINDS if kind.types}
         if not any(fit["possible"] for fit in fits.values()):
             return None
@@ -230,9 +236,7 @@ def _fits(surveyed: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[st
                     f"{name} at {_FIELD_HZ:g} Hz: it comes at {rate_hz:.3g} Hz, so that a compass shows faults of tens "
                     "of degrees only (PX4: SDLOG_PROFILE 2065 logs it at 14 Hz)"
                 )
-    # an onboard log's own records have no system
-    said = tally.senders.get(0, _Sender()).reports.joined(sender.reports)
-    likely = likely_kinds(KINDS, said.identity.vehicle_type)
+    likely = likely_kinds(KINDS, tally.said(tally.watched).identity.vehicle_type)
     return {
         "system": tally.watched,
         "likely": likely[0].name if likely else None,
