@@ -39,25 +39,15 @@ class Samples:
 
     def part(self, start: int, stop: int) -> Samples:
         """Return the samples start <= row < stop, as views."""
-        rows = slice(start, stop)
-        return Samples(
-            self.index[rows],
-            self.vehicle_time_ns[rows],
-            self.time_ns[rows],
-            self.u[rows],
-            self.y[rows],
-            self.restart[rows],
-            self.complete[rows],
-            self.known_ns[rows],
-            self.measured[rows],
-            self.lost[rows],
-        )
+        return Samples(*(getattr(self, name)[start:stop] for name in _COLUMNS))
+
+
+_COLUMNS = tuple(field.name for field in fields(Samples))
 
 
 def joined_samples(parts: Sequence[Samples]) -> Samples:
     """Return consecutive samples as one object."""
-    names = [field.name for field in fields(Samples)]
-    return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
 
 
 class Given(NamedTuple):

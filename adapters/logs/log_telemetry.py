@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, Columns, cut, gathered, one_message
+from adapters.batch import Batch, Columns, arrival_times, cut, gathered, one_message, rows_of
 from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, Angle, follow
 from adapters.logs.log_mapping import PARAMETERS, FieldRule, LogMapping, MessageRule
 from adapters.logs.log_parameters import parameter
@@ -116,7 +116,7 @@ class _Telemetry:
 
     def look_at(self, batch: Batch) -> bool:
         """Count records at the beginning of a log; return whether that is enough to decide by."""
-        times_ns, start = _times_ns(batch), 0
+        times_ns, start = arrival_times(batch), 0
         if self._first_ns is None:
             start = min((int(at[0]) for name, at in _positions(batch) if name in self._relevant), default=batch.count)
             if start < batch.count:
@@ -209,7 +209,7 @@ class _Telemetry:
     def _run(self, batch: Batch, counted: int) -> Iterator[Batch]:
         """Return what records make by the rules in use; the first ``counted`` of them are counted already."""
         self._count(cut(batch, counted, batch.count) if counted else batch)
-        times_ns = _times_ns(batch)
+        times_ns = arrival_times(batch)
         columns = [column for filler in self._fillers for column in filler.run(batch, times_ns, self._passed)]
         only = self._only
         for group in batch.columns:
@@ -236,9 +236,9 @@ class _Telemetry:
         columns = [*self._later[0], *columns]
         others = {**self._later[1], **others}
         cuts = [int(np.searchsorted(column.position, end)) for column in columns]
-        now = [_part(column, slice(0, at)) for column, at in zip(columns, cuts, strict=True) if at]
+        now = [rows_of(column, slice(0, at)) for column, at in zip(columns, cuts, strict=True) if at]
         later = [
-            _part(column, slice(at, None))
+            rows_of(column, slice(at, None))
             for column, at in zip(columns, cuts, strict=True)
             if at < len(column.position)
         ]
@@ -246,11 +246,6 @@ class _Telemetry:
         batch = gathered(now, {at: message for at, message in others.items() if at < end})
         if batch.count:
             yield batch
-
-
-def _part(columns: Columns, rows: slice) -> Columns:
-    fields = {name: values[rows] for name, values in columns.fields.items()}
-    return replace(columns, position=columns.position[rows], received_ns=columns.received_ns[rows], fields=fields)
 
 
 # Behind each record there is room for all that it makes: messages repeated and made, of each filler.
@@ -270,16 +265,6 @@ def _positions(batch: Batch) -> Iterator[tuple[str, Integers]]:
         yield columns.name, columns.position
     for at, message in batch.others.items():
         yield message.name, np.array([at])
-
-
-def _times_ns(batch: Batch) -> Integers:
-    """Return the times of arrival of all messages of a batch (count,)."""
-    times_ns = np.zeros(batch.count, np.int64)
-    for columns in batch.columns:
-        times_ns[columns.position] = columns.received_ns
-    for at, message in batch.others.items():
-        times_ns[at] = message.received_ns
-    return times_ns
 
 
 @dataclass(frozen=True, slots=True)

@@ -248,11 +248,9 @@ class MessageLogWriter:
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record."""
         record = encoded(Metadata(name=name, metadata=dict(entries)))
-        index = MetadataIndex(offset=self._at, length=len(record), name=name)
-        self._metadata_offsets[name, len(record)] = self._at
+        at = self._metadata_offsets[name, len(record)] = self._at
         self._write(record)
-        self._metadata_indexes += encoded(index)
-        self._totals.metadata_count += 1
+        self._index_metadata(name, at, len(record))
 
     def amend_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record again where it stands, as it is there for readers that stop at the first message.
@@ -275,19 +273,10 @@ class MessageLogWriter:
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file; its times are left at zero, which MCAP reads as unknown."""
-        record = encoded(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
-        index = AttachmentIndex(
-            offset=self._at,
-            length=len(record),
-            log_time=0,
-            create_time=0,
-            data_size=len(data),
-            name=name,
-            media_type=media_type,
-        )
+        attachment = Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+        record, at = encoded(attachment), self._at
         self._write(record)
-        self._attachment_indexes += encoded(index)
-        self._totals.attachment_count += 1
+        self._index_attachment(attachment, at, len(record))
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it then survives ``kill -9``."""
@@ -338,6 +327,23 @@ class MessageLogWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _index_metadata(self, name: str, at: int, length: int) -> None:
+        self._metadata_indexes += encoded(MetadataIndex(at, length, name))
+        self._totals.metadata_count += 1
+
+    def _index_attachment(self, file: Attachment, at: int, length: int) -> None:
+        index = AttachmentIndex(
+            offset=at,
+            length=length,
+            log_time=file.log_time,
+            create_time=file.create_time,
+            data_size=len(file.data),
+            name=file.name,
+            media_type=file.media_type,
+        )
+        self._attachment_indexes += encoded(index)
+        self._totals.attachment_count += 1
 
     def _end_chunk(self) -> None:
         if not self._channel_of:

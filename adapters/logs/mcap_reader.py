@@ -29,7 +29,7 @@ from adapters.encoding.record import Record, Schema
 from adapters.encoding.typed_record import TypedRecords
 from adapters.errors import TelemetryError
 from adapters.logs.damage import Damage, counted
-from adapters.logs.mcap_records import RECORD_HEAD, UNREADABLE, McapRecords
+from adapters.logs.mcap_records import RECORD_HEAD, UNREADABLE, McapRecords, records_in
 from adapters.message import LATEST_NS, Message
 from adapters.source import ZENOH
 
@@ -290,14 +290,10 @@ class MessageLogReader:
             return
         # a length that damage made up may be more than there is memory
         with contextlib.suppress(*UNREADABLE, McapError, MemoryError, OSError), self._path.open("rb") as stream:
-            summary, at = _summary(stream), 0
-            while at < len(summary):
-                opcode, length = RECORD_HEAD.unpack_from(summary, at)
-                body = summary[at + RECORD_HEAD.size : at + RECORD_HEAD.size + length]
+            for opcode, body in records_in(_summary(stream)):
                 if opcode == Opcode.STATISTICS:
                     self._expected = Statistics.read(ReadDataStream(BytesIO(body))).message_count
                 self._define(opcode, body)
-                at += RECORD_HEAD.size + length
 
     def _seen(self) -> int:
         return self.messages + self.other_records + self.damaged_records

@@ -27,11 +27,11 @@ MAX_RECORD_BYTES = 512 * 1024 * 1024
 for it.
 """
 RECORD_HEAD = struct.Struct("<BQ")
+CHUNK_HEAD = struct.Struct("<QQQII")
+"""Start and end time, size of the records, their checksum, length of the compression's name."""
 UNREADABLE = (struct.error, ValueError, KeyError, OverflowError, EOFError, RuntimeError, zstandard.ZstdError)
 """What decompressing and decoding damaged bytes raises."""
 
-# start and end time, uncompressed size, checksum, length of the compression's name
-_CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
 _LONGEST_NAME = 16
 # bytes of each kind of record where its texts and lists are empty
@@ -167,12 +167,12 @@ class McapRecords:
     def _shape(self, at: int) -> _Shape | None:
         """Return what a chunk ``at`` bytes ahead says of itself, None where its lengths contradict each other."""
         at += RECORD_HEAD.size
-        head = self._peek(at, at + _CHUNK_HEAD.size)
-        if len(head) < _CHUNK_HEAD.size:
+        head = self._peek(at, at + CHUNK_HEAD.size)
+        if len(head) < CHUNK_HEAD.size:
             return None
-        *_, size, crc, named = _CHUNK_HEAD.unpack(head)
-        start = at + _CHUNK_HEAD.size + named + _LENGTH.size
-        name = self._peek(at + _CHUNK_HEAD.size, start) if named <= _LONGEST_NAME else b""
+        *_, size, crc, named = CHUNK_HEAD.unpack(head)
+        start = at + CHUNK_HEAD.size + named + _LENGTH.size
+        name = self._peek(at + CHUNK_HEAD.size, start) if named <= _LONGEST_NAME else b""
         _, length = RECORD_HEAD.unpack(self._peek(at - RECORD_HEAD.size, at))
         if len(name) < named + _LENGTH.size or size > MAX_RECORD_BYTES:
             return None
@@ -230,6 +230,16 @@ class McapRecords:
             return False
         end = at + RECORD_HEAD.size + length
         return len(self._peek(end - 1, end)) == 1 and self._followed(end)
+
+
+def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and body of the whole records that lie one behind the other in a chunk or a summary."""
+    at = 0
+    while at + RECORD_HEAD.size <= len(data):
+        opcode, length = RECORD_HEAD.unpack_from(data, at)
+        start, at = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
+        if at <= len(data):
+            yield opcode, data[start:at]
 
 
 class _Shape(NamedTuple):

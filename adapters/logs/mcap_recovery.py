@@ -14,15 +14,13 @@ from typing import BinaryIO
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, AttachmentIndex, ChunkIndex, Metadata, MetadataIndex
+from mcap.records import Attachment, ChunkIndex, Metadata
 from mcap.writer import MCAP0_MAGIC
 
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter, encoded
-from adapters.logs.mcap_records import RECORD_HEAD, UNREADABLE, McapRecords
+from adapters.logs.mcap_records import CHUNK_HEAD, RECORD_HEAD, UNREADABLE, McapRecords, records_in
 
-# of a chunk: times of its first and last message, size and checksum of its records, length of the compression's name
-_CHUNK = struct.Struct("<QQQII")
 # of a message: channel, sequence, log time, publish time
 _MESSAGE = struct.Struct("<HIQQ")
 
@@ -139,18 +137,12 @@ class _Finisher(MessageLogWriter):
     def _chunk(self, at: int, stop: int, body: bytes) -> _Chunk:
         """Return a chunk; learn the definitions in it."""
         self._file.seek(at + RECORD_HEAD.size)
-        first, last, size, _, named = _CHUNK.unpack(self._file.read(_CHUNK.size))
+        first, last, size, _, named = CHUNK_HEAD.unpack(self._file.read(CHUNK_HEAD.size))
         compression = self._file.read(named).decode("latin-1")
-        packed = stop - at - RECORD_HEAD.size - _CHUNK.size - named - 8
+        packed = stop - at - RECORD_HEAD.size - CHUNK_HEAD.size - named - 8
         chunk = _Chunk(ChunkIndex(stop - at, at, compression, packed, last, 0, {}, first, size), len(body) == size)
-        place = 0
-        while place + RECORD_HEAD.size <= len(body):
-            opcode, length = RECORD_HEAD.unpack_from(body, place)
-            record = body[place + RECORD_HEAD.size : place + RECORD_HEAD.size + length]
-            place += RECORD_HEAD.size + length
-            if place > len(body):
-                break
-            if opcode == Opcode.MESSAGE and length >= _MESSAGE.size:
+        for opcode, record in records_in(body):
+            if opcode == Opcode.MESSAGE and len(record) >= _MESSAGE.size:
                 channel, _, time_ns, publish_ns = _MESSAGE.unpack_from(record)
                 chunk.messages.append((channel, time_ns, publish_ns, record[_MESSAGE.size :]))
             else:
@@ -162,22 +154,9 @@ class _Finisher(MessageLogWriter):
         with contextlib.suppress(McapError, *UNREADABLE):
             stream = ReadDataStream(BytesIO(body))
             if opcode == Opcode.ATTACHMENT:
-                file = Attachment.read(stream)
-                self._attachment_indexes += encoded(
-                    AttachmentIndex(
-                        offset=at,
-                        length=stop - at,
-                        log_time=file.log_time,
-                        create_time=file.create_time,
-                        data_size=len(file.data),
-                        name=file.name,
-                        media_type=file.media_type,
-                    )
-                )
-                self._totals.attachment_count += 1
+                self._index_attachment(Attachment.read(stream), at, stop - at)
             elif opcode == Opcode.METADATA:
-                self._metadata_indexes += encoded(MetadataIndex(at, stop - at, Metadata.read(stream).name))
-                self._totals.metadata_count += 1
+                self._index_metadata(Metadata.read(stream).name, at, stop - at)
             elif opcode == Opcode.MESSAGE:
                 channel, _, time_ns, _ = _MESSAGE.unpack_from(body)
                 self._count(time_ns, time_ns, {channel: 1})

@@ -93,10 +93,10 @@ class UlogReader(OnboardLogReader):
         self._take: Mapping[int, Callable[[bytes], tuple[str, dict[str, Any]] | None]] = {
             ord("A"): self._subscribe,
             ord("B"): self._flag,
-            ord("C"): self._tagged_text,
+            ord("C"): _tagged_text,
             ord("F"): self._define,
             ord("I"): _information,
-            ord("L"): self._text,
+            ord("L"): _text,
             ord("M"): _long_information,
             ord("O"): _dropout,
             ord("P"): _parameter,
@@ -260,22 +260,20 @@ class UlogReader(OnboardLogReader):
         if needed[0]:
             self._appended = sorted(place for place in places if place)
 
-    def _text(self, body: bytes) -> tuple[str, dict[str, Any]]:
-        level, stamp_us = struct.unpack_from("<BQ", body)
-        if level not in _LEVELS:
-            raise ValueError("no level of a text")
-        return TEXT, {"timestamp": stamp_us, "level": level - _LEVELS.start, "tag": 0, "text": record_text(body[9:])}
 
-    def _tagged_text(self, body: bytes) -> tuple[str, dict[str, Any]]:
-        level, tag, stamp_us = struct.unpack_from("<BHQ", body)
-        if level not in _LEVELS:
-            raise ValueError("no level of a text")
-        return TEXT, {"timestamp": stamp_us, "level": level - _LEVELS.start, "tag": tag, "text": record_text(body[11:])}
+def _text(body: bytes) -> tuple[str, dict[str, Any]]:
+    return _tagged_text(body[:1] + bytes(2) + body[1:])
+
+
+def _tagged_text(body: bytes) -> tuple[str, dict[str, Any]]:
+    level, tag, stamp_us = struct.unpack_from("<BHQ", body)
+    if level not in _LEVELS:
+        raise ValueError("no level of a text")
+    return TEXT, {"timestamp": stamp_us, "level": level - _LEVELS.start, "tag": tag, "text": record_text(body[11:])}
 
 
 def _information(body: bytes) -> tuple[str, dict[str, Any]]:
-    name, kind, value = decode_keyed(body)
-    return INFORMATION, {"key": name, "type": kind, "value": str(value), "continued": False}
+    return _long_information(bytes(1) + body)
 
 
 def _long_information(body: bytes) -> tuple[str, dict[str, Any]]:

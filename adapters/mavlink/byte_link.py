@@ -206,16 +206,33 @@ class _Udp:
         self._socket.close()
 
 
-class _TcpClient:
-    """A connection to a TCP server, made anew whenever it is lost."""
+class _Tcp:
+    """What both sides of a TCP connection have in common: its socket, None while there is none."""
 
     stamps_arrivals = False
+    overruns = 0
+
+    def __init__(self) -> None:
+        self.connections = 0
+        self._socket: socket.socket | None = None
+
+    def write(self, data: bytes, to: Iterable[Hashable]) -> None:
+        del to
+        if (connection := self._socket) is not None:
+            _send(connection, data)
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+class _TcpClient(_Tcp):
+    """A connection to a TCP server, made anew whenever it is lost."""
 
     def __init__(self, address: Address) -> None:
-        self.connections = 0
-        self.overruns = 0
+        super().__init__()
         self._address = address
-        self._socket: socket.socket | None = None
         self._retry_at = 0.0
 
     def read(self, timeout_s: float) -> list[Piece]:
@@ -257,57 +274,38 @@ class _TcpClient:
         self.connections += 1
         return True
 
-    def write(self, data: bytes, to: Iterable[Hashable]) -> None:
-        del to
-        if (connection := self._socket) is not None:
-            _send(connection, data)
-
     def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        super().close()
         self._retry_at = time.monotonic() + _RETRY_S
 
 
-class _TcpServer:
+class _TcpServer(_Tcp):
     """A listening TCP socket; the newest client is the one that is heard."""
 
-    stamps_arrivals = False
-
     def __init__(self, url: str, address: Address) -> None:
-        self.connections = 0
-        self.overruns = 0
+        super().__init__()
         self._listener = _bound(url, address, socket.SOCK_STREAM)
         self._listener.listen(1)
-        self._client: socket.socket | None = None
 
     def read(self, timeout_s: float) -> list[Piece]:
-        sources = [self._listener] if self._client is None else [self._client, self._listener]
+        sources = [self._listener] if self._socket is None else [self._socket, self._listener]
         ready = _readable(*sources, timeout_s=timeout_s)
-        if self._client in ready and self._client is not None:
+        if self._socket in ready and self._socket is not None:
             with contextlib.suppress(OSError):
-                if data := self._client.recv(_READ_BYTES):
+                if data := self._socket.recv(_READ_BYTES):
                     return [(self.connections, data, time.time_ns())]
-            self._client.close()
-            self._client = None
+            super().close()
         if self._listener in ready:
             with contextlib.suppress(OSError):
                 client, _ = self._listener.accept()
                 client.setblocking(False)
-                if self._client is not None:
-                    self._client.close()
-                self._client = client
+                super().close()
+                self._socket = client
                 self.connections += 1
         return []
 
-    def write(self, data: bytes, to: Iterable[Hashable]) -> None:
-        del to
-        if (connection := self._client) is not None:
-            _send(connection, data)
-
     def close(self) -> None:
-        if self._client is not None:
-            self._client.close()
+        super().close()
         self._listener.close()
 
 

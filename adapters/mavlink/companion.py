@@ -24,7 +24,7 @@ _NONE8, _NONE16, _NONE32 = 0xFF, 0x7FFF, 0xFFFFFFFF
 
 
 class Companion:
-    """Makes the packets, of any number of vehicles; signed with the key, if there is one."""
+    """Makes the packets, under the system ids of any number of vehicles; signed with the key, if there is one."""
 
     def __init__(self, key: SigningKey | None = None, component: int = COMPANION) -> None:
         from pymavlink.dialects.v20 import ardupilotmega
@@ -42,7 +42,7 @@ class Companion:
         names = self._names
         state = names.MAV_STATE_CRITICAL if critical else names.MAV_STATE_ACTIVE
         kind = names.MAV_TYPE_ONBOARD_CONTROLLER
-        return self._pack(
+        return self.pack(
             system, names.MAVLink_heartbeat_message(kind, names.MAV_AUTOPILOT_INVALID, 0, 0, state, 3), now_ns
         )
 
@@ -70,7 +70,7 @@ class Companion:
             link_tx_max=[_NONE32] * 6,
             link_rx_max=[_NONE32] * 6,
         )
-        return self._pack(system, message, now_ns)
+        return self.pack(system, message, now_ns)
 
     def text(self, system: int, severity: int, text: str, now_ns: int) -> list[bytes]:
         """Return a text as one packet or several, cut at 200 bytes; letters beyond ASCII become a question mark."""
@@ -83,11 +83,12 @@ class Companion:
             if len(chunks[-1]) == CHUNK and len(chunks) < MAX_CHUNKS:
                 chunks.append(b"")
         return [
-            self._pack(system, self._names.MAVLink_statustext_message(severity, chunk, number, index), now_ns)
+            self.pack(system, self._names.MAVLink_statustext_message(severity, chunk, number, index), now_ns)
             for index, chunk in enumerate(chunks)
         ]
 
-    def _pack(self, system: int, message: Any, now_ns: int) -> bytes:
+    def pack(self, system: int, message: Any, now_ns: int) -> bytes:
+        """Return a message of pymavlink's as the next packet under a system id, signed at a Unix time."""
         packer = self._packer
         packer.srcSystem, packer.seq = system, self._sequences.get(system, 0)
         packer.signing.timestamp = max(packer.signing.timestamp, unix_stamp(now_ns))

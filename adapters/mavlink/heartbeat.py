@@ -57,11 +57,7 @@ def autopilot_heartbeats(columns: Columns) -> NDArray[np.bool_]:
 
 
 def is_autopilot_heartbeat(message: Message) -> bool:
-    """Return whether a message is the heartbeat of an autopilot.
-
-    Neither a ground station's (type 6) nor that of a component without one (autopilot 8: gimbals, cameras, companion
-    computers).
-    """
+    """Return whether a message is the heartbeat of an autopilot, as :func:`autopilot_heartbeats` has it."""
     return (
         message.name == "HEARTBEAT"
         and message.source is MAVLINK

@@ -16,9 +16,10 @@ from typing import Any
 
 from adapters.batch import Columns, one_message
 from adapters.errors import TelemetryError
+from adapters.mavlink.companion import Companion
 from adapters.mavlink.heartbeat import AUTOPILOT, autopilot_heartbeats
 from adapters.mavlink.mavlink_message import mavlink_types
-from adapters.mavlink.signing import SigningKey, unix_stamp
+from adapters.mavlink.signing import SigningKey
 from adapters.message import SECOND_NS
 from adapters.source import MAVLINK
 
@@ -110,10 +111,7 @@ class RateRequests:
     def __init__(self, key: SigningKey | None = None, ids: tuple[int, int] = OWN_IDS) -> None:
         self._dialect = _dialect()
         self._ids = ids
-        self._packer = self._dialect.MAVLink(None, *ids)
-        if key is not None:
-            self._packer.signing.secret_key = key.secret
-            self._packer.signing.sign_outgoing = True
+        self._companion = Companion(key, ids[1])
         self._vehicles: dict[int, _Vehicle] = {}
         self._everybody: tuple[Mapping[str, float], int] | None = None
         self._heartbeat_ns: int | None = None
@@ -177,47 +175,24 @@ class RateRequests:
         packets = []
         if self._heartbeat_ns is None or steady_ns - self._heartbeat_ns >= SECOND_NS:
             self._heartbeat_ns = steady_ns
-            packets.append(self._heartbeat(now_ns))
+            packets.append(self._companion.heartbeat(self._ids[0], now_ns, critical=False))
         for vehicle in self._vehicles.values():
             request = _next_request(vehicle, steady_ns)
             if request is not None:
                 packets.append(self._set_interval(request, now_ns))
         return packets
 
-    def _heartbeat(self, now_ns: int) -> bytes:
-        names = self._dialect
-        return self._pack(
-            names.MAVLink_heartbeat_message(
-                type=names.MAV_TYPE_ONBOARD_CONTROLLER,
-                autopilot=names.MAV_AUTOPILOT_INVALID,
-                base_mode=0,
-                custom_mode=0,
-                system_status=names.MAV_STATE_ACTIVE,
-                mavlink_version=3,
-            ),
-            now_ns,
-        )
-
     def _set_interval(self, request: RequestedRate, now_ns: int) -> bytes:
-        return self._pack(
-            self._dialect.MAVLink_command_long_message(
-                request.system,
-                request.component,
-                self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
-                0,
-                _message_numbers()[request.name],
-                round(1e6 / request.asked_hz),
-                *[0] * 5,
-            ),
-            now_ns,
+        message = self._dialect.MAVLink_command_long_message(
+            request.system,
+            request.component,
+            self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
+            0,
+            _message_numbers()[request.name],
+            round(1e6 / request.asked_hz),
+            *[0] * 5,
         )
-
-    def _pack(self, message: Any, now_ns: int) -> bytes:
-        signing = self._packer.signing
-        signing.timestamp = max(signing.timestamp, unix_stamp(now_ns))
-        packet = bytes(message.pack(self._packer))
-        self._packer.seq = (self._packer.seq + 1) % 256
-        return packet
+        return self._companion.pack(self._ids[0], message, now_ns)
 
     @property
     def rates(self) -> tuple[RequestedRate, ...]:
