@@ -126,6 +126,15 @@ def test_numbers_are_columns_and_nothing_else_is(kind: Kind, folder: Path) -> No
         assert message.name == DROPOUT or any(isinstance(value, str | dict) for value in message.fields.values())
 
 
+@given(data=st.data())
+def test_a_file_of_several_logs_is_refused_and_says_where_to_split_it(
+    kind: Kind, folder: Path, data: st.DataObject
+) -> None:
+    end = data.draw(st.integers(kind.ends[2], len(kind.flight)))
+    with pytest.raises(TelemetryError, match=rf"second begins at byte {end}: split it there \(head -c {end}; "):
+        kind.read(folder, kind.flight[:end] + kind.flight)
+
+
 @pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
 def test_compressed_logs_read_like_plain_ones(kind: Kind, folder: Path, suffix: str, pack: Any) -> None:
     path = folder / f"a{kind.suffix}{suffix}"

@@ -25,7 +25,6 @@ from review_logs import (
 from synthetic_run import START_NS, event
 
 import fauio
-from adapters.errors import TelemetryError
 from replay.review import learning
 from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
 from replay.review.review import LogReview, judged, review_log
@@ -431,13 +430,6 @@ def test_a_plane_whose_log_has_no_barometer_flies_by_its_receivers_height(tmp_pa
     path = tmp_path / "plane.bin"
     path.write_bytes(log.data)
     assert rules_on(path).facts.flight == (pytest.approx((10.0, 40.0), abs=0.1),)
-
-
-def test_logs_that_were_joined_are_refused(tmp_path: Path) -> None:
-    log = ardupilot_log(tmp_path / "flight.bin", Flight()).read_bytes()
-    (tmp_path / "joined.bin").write_bytes(2 * log)
-    with pytest.raises(TelemetryError, match="several logs, one behind the other"):
-        rules_on(tmp_path / "joined.bin")
 
 
 @pytest.mark.parametrize("output", ["Ch", "Chan"])

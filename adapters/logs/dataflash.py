@@ -89,6 +89,7 @@ class DataflashReader(OnboardLogReader):
     """
 
     source = DATAFLASH
+    begins = _MARK + bytes([_FORMAT_KIND, _FORMAT_KIND, 89]) + b"FMT\0"
     head_bytes = _HEAD_BYTES
     largest_bytes = 2 * _LARGEST_RECORD
     padding_bytes = _PADDING_BYTES

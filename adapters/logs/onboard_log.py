@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, gathered
+from adapters.errors import TelemetryError
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.damage import ScanStatistics
 from adapters.message import LATEST_NS, Message
@@ -358,6 +359,7 @@ class OnboardLogReader(ABC):
     """
 
     source: ClassVar[Source]
+    begins: ClassVar[bytes]  # what every log of its kind begins with, and has nowhere else
     head_bytes: ClassVar[int]  # least bytes of a record
     largest_bytes: ClassVar[int]  # most bytes of a record and of the head of the next one
     padding_bytes: ClassVar[int] = -1  # what may be left at the end and is no damage
@@ -393,7 +395,7 @@ class OnboardLogReader(ABC):
         Raises
         ------
         TelemetryError
-            The file cannot be opened, is no such log, or needs a newer reader.
+            The file cannot be opened, is no such log, holds several of them, or needs a newer reader.
         """
         window = Window(self._path, self._read_ahead_bytes)
         self._open(window)
@@ -402,6 +404,7 @@ class OnboardLogReader(ABC):
             if records.data is not window.data:
                 if records.start:
                     yield records.batch()
+                self._check_single(window)
                 records.data = window.data
             self._chain(window, records)
             if window.fill(self.head_bytes) and not self._single(window, records):
@@ -410,6 +413,16 @@ class OnboardLogReader(ABC):
             yield records.batch()
         self._broken_off = window.cut or (window.left > 0 and not self.ends_anywhere)
         self._skipped_bytes += window.left
+
+    def _check_single(self, window: Window) -> None:
+        """Refuse a file in which another log begins: their clocks and formats are not the same."""
+        found = window.data.find(self.begins, max(window.index(1), 0))
+        if found >= 0:
+            at = window.offset + found - window.at
+            raise TelemetryError(
+                f"{self._path}: holds several logs, one behind the other, and the second begins at byte {at}: split it "
+                f"there (head -c {at}; tail -c +{at + 1}), and give each as a file of its own"
+            )
 
     def _log_clock(self) -> LogClock:
         """Return the clock of the log; UTC minus time since boot from its first fix where that is not known."""

@@ -79,6 +79,7 @@ class UlogReader(OnboardLogReader):
     """
 
     source = ULOG
+    begins = _MAGIC
     head_bytes = _HEAD.size
     largest_bytes = 2 * _HEAD.size + _ID.size + (1 << 16)
     fixes = GPS_TOPICS

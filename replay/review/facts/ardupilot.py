@@ -31,7 +31,7 @@ from replay.review.facts.log_facts import (
 TOPICS = frozenset(
     {
         "ARM", "EV", "ERR", "MODE", "MSG", "PARM", "RCOU", "ATT", "BARO", "XKF1", "NKF1", "PSCD", "IMU", "BAT", "CURR",
-        "GPS", "XKF4", "NKF4", "VIBE", "MAVC", "VER", "FMT", "ESC", *(f"ESC/{k}" for k in range(1, 12)),
+        "GPS", "XKF4", "NKF4", "VIBE", "MAVC", "VER", "ESC", *(f"ESC/{k}" for k in range(1, 12)),
     }
 )  # fmt: skip
 

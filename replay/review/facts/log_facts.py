@@ -264,7 +264,6 @@ class LogRecords:
         self._columns: dict[tuple[str, int], list[tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]]] = {}
         self.rows: dict[tuple[str, int], list[tuple[int, int, Mapping[str, Any]]]] = {}
         self.parameters: dict[str, float] = {}
-        self.defined: list[str] = []
         first, last = None, 0
         for batch in batches:
             for group in batch.columns:
@@ -277,9 +276,6 @@ class LogRecords:
             for message in batch.others.values():
                 if message.name in PARAMETER_MESSAGES and (known := parameter(message)) is not None:
                     self.parameters.setdefault(*known)
-                    continue
-                if message.name == "FMT":  # written as the log is opened, by a clock that may not be set
-                    self.defined.append(str(message.fields.get("Name")))
                     continue
                 entry = message.received_ns, message.component, message.fields
                 self.rows.setdefault((message.name, message.system), []).append(entry)

@@ -18,7 +18,7 @@ def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
     Raises
     ------
     TelemetryError
-        It is no recording, cannot be read, or holds nothing that a vehicle says of itself, or several logs.
+        It is no recording, cannot be read, or holds nothing that a vehicle says of itself.
     """
     source = onboard_source(path)
     topics, translate = {
@@ -29,8 +29,5 @@ def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
     records = LogRecords(recording.records())
     if not any(True for _ in records.names()):
         raise TelemetryError(f"{path}: holds nothing that says how a vehicle fared; give a log of a flight")
-    # a log of ArduPilot defines each of its records once; one that follows may have lost some to the end of the first
-    if len(records.defined) > 1.5 * len(set(records.defined)):
-        raise TelemetryError(f"{path}: holds several logs, one behind the other; give each as a file of its own")
     facts = translate(records)
     return replace(facts, flight=tuple(flown(facts)) if facts.flies else facts.armed), recording.damage()
