@@ -22,8 +22,8 @@ from monitor.trace import Trace
 from monitor.views.palette import LIGHT
 from monitor.views.panels import RunView, TrueSizes
 from monitor.views.plot_style import STYLE
+from replay.reports.charts import unwatched
 from replay.reports.plot import run_figure
-from replay.reports.plot_panels import Look, unwatched
 
 ALARMS = [
     *[event(1020 + 9 * k, "raised", id=f"{k}", channel=name) for k, name in enumerate(LAYOUT.faults)],
@@ -37,7 +37,7 @@ def figure(traces: Sequence[Trace], events: Sequence[AlarmEvent] = (), truth: Tr
     """Return a run's page, laid out."""
     with rc_context(STYLE):
         run = RunView(traces, events, BOTH_THRESHOLDS, truth or {})
-        drawn = run_figure(run, "a run", Look(LIGHT, run))
+        drawn = run_figure(run, "a run", LIGHT)
         drawn.canvas.draw()
     return drawn
 

@@ -1,10 +1,11 @@
-"""Charts of a run for a page: series thinned to what a screen shows, as data that ``report.js`` draws."""
+"""Charts of a run: series thinned to what a screen shows, as data that ``report.js`` and :mod:`.plot_panels` draw."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,21 @@ from numpy.typing import NDArray
 
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.panels import RunView, evidence, fault_limits, in_display_units
-from replay.reports.plot_panels import DOUBT_DEVIATIONS, held, kept_rows, unwatched, usual_range, usual_size
+from replay.reports.recording_facts import GAP_PERIODS, GAP_S
 from replay.reports.report_html import Html, element
 
 BINS = 700
 """Chosen: a chart is 600 to 900 pixels wide; each bin is two points, 15 bytes of the page for each series."""
+DOUBT_DEVIATIONS = 2.0
+"""Standard deviations that are shaded around an estimate: a band of two holds 95 %."""
+USUAL_PERCENT = 99.5
+"""Chosen: the scale of residuals without the jumps of a fault, which would flatten the rest."""
 LEAST_BINS = 60
 """Chosen: of ten series in one chart, nobody follows one in more."""
+_HELD_S = 0.5
+"""Chosen by eye: so long around what a channel is held responsible for its uncertainty is shown, too."""
+_ROUNDING = 1e-9
+"""A residual below this part of its measurement is zero: the estimates explain the measurement whatever it is."""
 _DIGITS = 4
 """Chosen: a chart of 250 pixels shows three."""
 
@@ -27,7 +36,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """One chart: a title, and what ``report.js`` draws."""
+    """One chart: a title, and what is drawn."""
 
     title: str
     content: dict[str, Any]
@@ -72,12 +81,13 @@ def origin_ns(traces: Sequence[Trace]) -> int:
     return min((int(trace.vehicle_ns[0]) for trace in traces if len(trace.vehicle_ns)), default=0)
 
 
-def fault_chart(run: RunView, trace: Trace, channel: str) -> Chart:
+def fault_chart(run: RunView, trace: Trace, channel: str, scale: Sequence[int] = (), bins: int = BINS) -> Chart:
     """Return the chart of one fault channel: its estimate with uncertainty, threshold, truth, and its alarms.
 
-    The run and its trace are in the units that people say.
+    The run and its trace are in the units that people say. The axis has the range that the channels at ``scale`` need,
+    by default this one.
     """
-    layout, zero_ns = trace.layout, origin_ns(run.traces)
+    layout = trace.layout
     key, place = (layout.observer, channel), layout.faults.index(channel)
     estimate = trace.isolated[:, place]
     series = [("estimate", "estimate", estimate)]
@@ -91,40 +101,51 @@ def fault_chart(run: RunView, trace: Trace, channel: str) -> Chart:
         times_s, sizes = run.truth[channel]
         known = np.interp(trace.vehicle_ns / 1e9, times_s, sizes, np.nan, np.nan)
         series.append(("truth", "truth", known))
-    content = _content(trace, zero_ns, series) | {
+    content = _content(run, trace, series, bins) | {
         "unit": layout.fault_units[place],
-        "limits": [_short(end) for end in fault_limits(trace, [place], run.thresholds, run.truth)],
+        "limits": [_short(end) for end in fault_limits(trace, scale or [place], run.thresholds, run.truth)],
         "threshold": None if threshold is None else _short(threshold),
-        "spans": _spans(run, zero_ns, lambda span: (span.observer, span.channel) == key),
+        "spans": _spans(run, lambda span: (span.observer, span.channel) == key),
     }
     return Chart(channel, content)
 
 
-def observer_charts(run: RunView, trace: Trace) -> Iterator[Chart]:
-    """Yield all of an observer: channels over their thresholds, residuals over their usual size, inputs."""
-    layout, zero_ns = trace.layout, origin_ns(run.traces)
-    faults = [
-        (name, trace.isolated[:, place] / threshold)
-        for place, name in enumerate(layout.faults)
-        if (threshold := run.thresholds.get((layout.observer, name)))
-    ]
-    residuals = [
-        (name, trace.residual[:, place] / (usual_size(evidence(trace, trace.residual[:, place])) or 1.0))
-        for place, name in enumerate(layout.outputs)
-    ]
-    inputs = []
-    for place, name in enumerate(layout.inputs):
-        low, high = usual_range(evidence(trace, trace.u[:, place]))
-        inputs.append((name, (trace.u[:, place] - low) / ((high - low) or 1.0)))
-    spans = _spans(run, zero_ns, lambda span: span.observer == layout.observer)
+def observer_charts(
+    run: RunView, trace: Trace, channels: Collection[str] | None = None, bins: int = BINS
+) -> Iterator[Chart]:
+    """Yield all of an observer: channels over their thresholds, residuals over their usual size, inputs.
+
+    Behind each name stands what one of the chart's units is. ``channels`` are those to show, None shows all. Residuals
+    that are nothing but rounding are left out.
+    """
+    layout = trace.layout
+    faults, residuals, inputs = [], [], []
+    for name, estimate in zip(layout.faults, trace.isolated.T, strict=True):
+        if (threshold := run.thresholds.get((layout.observer, name))) and (channels is None or name in channels):
+            watched = evidence(trace, estimate / threshold)
+            peak = f"{100.0 * np.max(np.abs(watched)):.0f} %" if len(watched) else ""
+            faults.append((name, estimate / threshold, peak))
+    for name, residual, measured in zip(layout.outputs, trace.residual.T, trace.y.T, strict=True):
+        usual = usual_size(evidence(trace, residual))
+        if usual > _ROUNDING * usual_size(evidence(trace, measured)):
+            residuals.append((name, residual / usual, f"±{usual:.2g}"))
+    for name, command in zip(layout.inputs, trace.u.T, strict=True):
+        low, high = usual_range(evidence(trace, command))
+        said = f"{low:.2g} … {high:.2g}".replace("-", "\N{MINUS SIGN}")
+        inputs.append((name, (command - low) / ((high - low) or 1.0), said))
+    # those of no observer, such as lost telemetry, concern them all
+    others = {other.layout.observer for other in run.traces} - {layout.observer}
+    spans = _spans(run, lambda span: span.observer not in others)
     for title, unit, limits, named in (
-        ("channels", "of the threshold", _around(faults, 1.5), faults),
+        ("channels", "of the threshold", _around([values for _, values, _ in faults], 1.5), faults),
         ("residuals", "of the usual size", [-3.0, 3.0], residuals),
         ("inputs", "of the usual range", [-0.2, 1.2], inputs),
     ):
         if named:
-            series = [("line", name, values) for name, values in named]
-            yield Chart(title, _content(trace, zero_ns, series) | {"unit": unit, "limits": limits, "spans": spans})
+            content = _content(run, trace, [("line", name, values) for name, values, _ in named], bins)
+            for one, (_, _, said) in zip(content["series"], named, strict=True):
+                one["of"] = said
+            yield Chart(title, content | {"unit": unit, "limits": limits, "spans": spans})
 
 
 def signal_chart(title: str, times_s: Floats, columns: Floats, names: Sequence[str], unit: str) -> Chart:
@@ -140,46 +161,125 @@ def signal_chart(title: str, times_s: Floats, columns: Floats, names: Sequence[s
     return Chart(title, content | {"spans": [], "unwatched": [], "marks": []})
 
 
-def _content(trace: Trace, zero_ns: int, series: Sequence[tuple[str, str, NDArray[np.float64]]]) -> dict[str, Any]:
-    each = max(LEAST_BINS, BINS // len(series))
+def _content(
+    run: RunView, trace: Trace, series: Sequence[tuple[str, str, NDArray[np.float64]]], bins: int
+) -> dict[str, Any]:
+    zero_ns, each = origin_ns(run.traces), max(LEAST_BINS, bins // len(series))
     drawn = [values for kind, _, values in series if kind]
     rows = np.unique(np.concatenate([kept_rows(values, trace.restart, each) for values in drawn]))
     # lines break where the observer started afresh
     breaks = np.flatnonzero(trace.restart[rows] & (rows > 0))
-    times = np.insert(
-        (trace.vehicle_ns[rows] - zero_ns) / 1e9, breaks, (trace.vehicle_ns[rows[breaks]] - zero_ns) / 1e9
-    )
+    times_s = (trace.vehicle_ns[rows] - zero_ns) / 1e9
     columns = [np.insert(values[rows], breaks, np.nan) for _, _, values in series]
     return {
-        "x": [round(float(time), 3) for time in times],
+        "x": [round(float(time), 3) for time in np.insert(times_s, breaks, times_s[breaks])],
         "series": [
             {"kind": kind, "name": name, "y": [_short(value) for value in column]}
             for (kind, name, _), column in zip(series, columns, strict=True)
         ],
         "unwatched": [
-            [round(start_s, 2), round(end_s, 2)]
-            for start_s, end_s in unwatched(trace, zero_ns, float((trace.vehicle_ns[-1] - zero_ns) / 1e9))
+            [round(start_s, 2), round(end_s, 2)] for start_s, end_s in unwatched(trace, zero_ns, end_s(run.traces))
         ],
     }
 
 
-def _spans(run: RunView, zero_ns: int, concerns: Callable[[AlarmSpan], bool]) -> list[dict[str, Any]]:
+def end_s(traces: Sequence[Trace]) -> float:
+    """Return when a run ended, counted from its first sample."""
+    last_ns = max((int(trace.vehicle_ns[-1]) for trace in traces if len(trace.vehicle_ns)), default=0)
+    return (last_ns - origin_ns(traces)) / 1e9
+
+
+def _spans(run: RunView, concerns: Callable[[AlarmSpan], bool]) -> list[dict[str, Any]]:
+    zero_ns = origin_ns(run.traces)
     return [
         {
             "from": round((span.start_vehicle_ns - zero_ns) / 1e9, 2),
             "to": None if span.end_vehicle_ns is None else round((span.end_vehicle_ns - zero_ns) / 1e9, 2),
             "severity": span.severity,
+            "channel": span.channel,
         }
         for span in alarm_spans(run.events)
         if concerns(span)
     ]
 
 
-def _around(named: Sequence[tuple[str, NDArray[np.float64]]], least: float) -> list[float]:
+def _around(drawn: Sequence[NDArray[np.float64]], least: float) -> list[float]:
     """Return the ends of an axis that holds most of what is drawn."""
-    largest = max((usual_size(values[np.isfinite(values)]) for _, values in named), default=0.0)
+    largest = max((usual_size(values[np.isfinite(values)]) for values in drawn), default=0.0)
     return [-max(least, largest), max(least, largest)]
 
 
 def _short(value: float) -> float | None:
     return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
+
+
+def kept_rows(values: NDArray[np.float64], restart: NDArray[np.bool_], bins: int) -> NDArray[np.intp]:
+    """Return the samples that draw the same line as all N: of ``bins`` runs the smallest and the largest, in order.
+
+    The first sample after the observer started afresh is kept, too.
+    """
+    size = -(-len(values) // bins)
+    edges = np.union1d(np.flatnonzero(restart), [0, len(values)]).astype(np.intp)
+    parts = [np.empty(0, np.intp)]
+    for start, stop in pairwise(edges):
+        if size > 2 and stop - start > 2 * size:
+            parts.append(np.append(start, _extremes(values[start:stop], size) + start))
+        else:
+            parts.append(np.arange(start, stop))
+    return np.unique(np.concatenate(parts))
+
+
+def _extremes(values: NDArray[np.float64], size: int) -> NDArray[np.intp]:
+    """Return the places of the smallest and the largest value of each run of ``size`` samples, in order."""
+    whole = len(values) // size * size
+    rest = np.arange(whole, len(values))
+    runs = values[:whole].reshape(-1, size)
+    runs = np.where(np.isnan(runs), 0.0, runs)
+    both = np.sort(np.stack((runs.argmin(axis=1), runs.argmax(axis=1)), axis=1), axis=1)
+    picked = (both + np.arange(0, whole, size)[:, None]).ravel()
+    if len(rest):
+        last = np.where(np.isnan(values[rest]), 0.0, values[rest])
+        picked = np.append(picked, whole + np.sort([last.argmin(), last.argmax()]))
+    return picked
+
+
+def unwatched(trace: Trace, origin_ns: int, end_s: float) -> list[tuple[float, float]]:
+    """Return from when to when (s) an observer could raise no alarm, gaps between its samples among it."""
+    times_s = (trace.vehicle_ns - origin_ns) / 1e9
+    steps_s = np.diff(times_s)
+    usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    gap = steps_s > max(GAP_S, GAP_PERIODS * usual_s)
+    goes_on = trace.armed[:-1] & trace.armed[1:] & ~gap
+    first = trace.armed & ~np.append(False, goes_on)
+    last = trace.armed & ~np.append(goes_on, False)
+    starts_s, stops_s = np.append(0.0, times_s[last]), np.append(times_s[first], end_s)
+    return [
+        (float(start_s), float(stop_s))
+        for start_s, stop_s in zip(starts_s, stops_s, strict=True)
+        if stop_s - start_s > 1.5 * usual_s
+    ]
+
+
+def held(trace: Trace, estimate: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return where a channel is held responsible for something, shortly before or after included: no flicker."""
+    held_ns = trace.vehicle_ns[estimate != 0.0]
+    if not len(held_ns):
+        return np.zeros(len(estimate), np.bool_)
+    after = np.searchsorted(held_ns, trace.vehicle_ns)
+    since_ns = trace.vehicle_ns - held_ns[np.maximum(after - 1, 0)]
+    until_ns = held_ns[np.minimum(after, len(held_ns) - 1)] - trace.vehicle_ns
+    near_ns = np.minimum(np.abs(since_ns), np.abs(until_ns))
+    return np.asarray(near_ns <= 1e9 * _HELD_S)
+
+
+def usual_size(values: NDArray[np.float64]) -> float:
+    """Return the size below which most values are, 0 where there is none."""
+    return float(np.percentile(np.abs(values), USUAL_PERCENT)) if len(values) else 0.0
+
+
+def usual_range(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return between what most values are."""
+    if not len(values):
+        return 0.0, 0.0
+    low, high = np.percentile(values, (100.0 - USUAL_PERCENT, USUAL_PERCENT))
+    return float(low), float(high)

@@ -17,10 +17,10 @@ from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
 from monitor.views.panels import Panels, RunView, choose_panels, in_display_units, same_scale
 from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
+from replay.reports.charts import DOUBT_DEVIATIONS, end_s, fault_chart, observer_charts, origin_ns
 from replay.reports.plot_panels import (
     BAND_ALPHA,
     DOUBT_ALPHA,
-    DOUBT_DEVIATIONS,
     SPAN_ALPHA,
     TRUTH_DASHES,
     UNWATCHED_ALPHA,
@@ -30,10 +30,7 @@ from replay.reports.plot_panels import (
     draw_alarms,
     draw_fault,
     draw_heading,
-    draw_inputs,
-    draw_quiet,
-    draw_residuals,
-    residual_sizes,
+    draw_lanes,
 )
 
 if TYPE_CHECKING:
@@ -52,6 +49,8 @@ LEAST_LANES = 2
 TITLE_IN = 0.2
 ENDS_IN = 1.0
 TITLE_LETTERS = 105
+BINS = 6000
+"""Bins of a chart's series. Chosen: each of four has more than a picture of 8 in at 160 dpi has pixels across."""
 SAME_CLOCK_NS = 1_000_000_000
 """Chosen: logs of one flight agree to milliseconds, two flights are minutes apart."""
 
@@ -80,7 +79,7 @@ def plot_png(path: str | os.PathLike[str], run: RunView, title: str = "", *, dar
     """
     theme, run = DARK if dark else LIGHT, in_display_units(run)
     with _drawing(_style(theme)):
-        save_small(run_figure(run, title, Look(theme, run)), path)
+        save_small(run_figure(run, title, theme), path)
 
 
 @contextmanager
@@ -99,18 +98,15 @@ def _style(theme: Theme) -> dict[str, Any]:
     return STYLE | dict.fromkeys(inks, theme.ink) | dict.fromkeys(papers, theme.paper)
 
 
-def run_figure(run: RunView, title: str, look: Look) -> Figure:
-    """Return the drawn page."""
+def run_figure(run: RunView, title: str, theme: Theme) -> Figure:
+    """Return the drawn page of a run in the units that people say."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     spans = alarm_spans(run.events)
     alarmed = {(span.observer, span.channel) for span in spans}
-    traces = [trace for trace in run.traces if len(trace.vehicle_ns)]
-    if traces:
-        origin_ns = min(int(trace.vehicle_ns[0]) for trace in traces)
-        end_s = (max(int(trace.vehicle_ns[-1]) for trace in traces) - origin_ns) / 1e9
-        look = replace(look, origin_ns=origin_ns, end_s=end_s, headed=len(traces) > 1)
+    run = run._replace(traces=[trace for trace in run.traces if len(trace.vehicle_ns)])
+    traces, look = run.traces, Look(theme, origin_ns(run.traces), end_s(run.traces))
     chosen = choose_panels([trace.layout for trace in traces], alarmed, run.truth, run.thresholds)
     # beside observers with alarms of others the channels alone: so the alarms are large
     observers = {trace.layout.observer for trace in traces}
@@ -118,14 +114,7 @@ def run_figure(run: RunView, title: str, look: Look) -> Figure:
     rows = [
         row
         for trace, panels in zip(traces, chosen, strict=True)
-        for row in _rows(
-            trace,
-            panels,
-            _concerning(trace, traces, spans),
-            look,
-            heading=len(traces) > 1,
-            whole=trace.layout.observer in whole,
-        )
+        for row in _rows(run, trace, panels, look, whole=trace.layout.observer in whole)
     ] or [_Row(FAULT_IN, _draw_nothing)]
     lanes = len(alarm_lanes(spans)) if traces else 0
     if lanes > 1:
@@ -144,7 +133,7 @@ def run_figure(run: RunView, title: str, look: Look) -> Figure:
     if traces:
         panels[-1].set_xlabel(_since(traces, look.origin_ns))
         panels[-1].set_xlim(0.0, look.end_s or 1.0)
-        _draw_legend(figure, title, look, traces, chosen, spans)
+        _draw_legend(figure, title, theme, run, chosen, spans)
     elif title:
         figure.suptitle(textwrap.fill(printable(title), TITLE_LETTERS), x=0.01, ha="left", size=9.5, weight="bold")
     return figure
@@ -172,30 +161,24 @@ def _heights(rows: Sequence[_Row]) -> list[float]:
     return [fault_in if row.shrinks else row.height_in for row in rows]
 
 
-def _concerning(trace: Trace, traces: Sequence[Trace], spans: Sequence[AlarmSpan]) -> list[AlarmSpan]:
-    """Return the alarms of an observer, and those of no observer, such as lost telemetry, which concern them all."""
-    others = {other.layout.observer for other in traces} - {trace.layout.observer}
-    return [span for span in spans if span.observer not in others]
-
-
-def _rows(
-    trace: Trace, panels: Panels, spans: Sequence[AlarmSpan], look: Look, *, heading: bool, whole: bool
-) -> Iterator[_Row]:
+def _rows(run: RunView, trace: Trace, panels: Panels, look: Look, *, whole: bool) -> Iterator[_Row]:
     """Return an observer's panels from top to bottom, without residuals and inputs unless it is shown ``whole``."""
     layout = trace.layout
-    if heading:
+    if len(run.traces) > 1:
         yield _Row(HEADING_IN, partial(draw_heading, look=look, text=layout.observer))
-    shown: dict[str, Any] = {"look": look, "trace": trace, "spans": spans}
+    else:
+        look = replace(look, prefix=f"{layout.observer} / ")
     for place in panels.alone:
-        scale = same_scale(layout, panels, place)
-        draw = partial(draw_fault, **shown, place=place, scale=scale)
-        yield _Row(FAULT_IN, draw, shrinks=True)
-    if panels.together:
-        draw = partial(draw_quiet, **shown, places=panels.together)
-        yield _Row(_lanes_in(len(panels.together)), draw)
-    if whole:
-        yield _Row(_lanes_in(len(residual_sizes(trace))), partial(draw_residuals, **shown))
-        yield _Row(_lanes_in(len(layout.inputs)), partial(draw_inputs, **shown))
+        chart = fault_chart(run, trace, layout.faults[place], same_scale(layout, panels, place), BINS)
+        yield _Row(FAULT_IN, partial(draw_fault, look=look, chart=chart), shrinks=True)
+    quiet = [layout.faults[place] for place in panels.together]
+    for chart in observer_charts(run, trace, quiet, BINS):
+        if whole or chart.title == "channels":
+            # an alarm that is about no fault channel, such as an unexplained residual, is shown here
+            spans = chart.content["spans"] if chart.title == "residuals" else ()
+            covered = [span for span in spans if span["channel"] not in layout.faults]
+            draw = partial(draw_lanes, look=look, chart=chart, covered=covered)
+            yield _Row(_lanes_in(len(chart.content["series"])), draw)
 
 
 def _lanes_in(lanes: int) -> float:
@@ -205,8 +188,8 @@ def _lanes_in(lanes: int) -> float:
 def _draw_legend(
     figure: Figure,
     title: str,
-    look: Look,
-    traces: Sequence[Trace],
+    theme: Theme,
+    run: RunView,
     chosen: Sequence[Panels],
     spans: Sequence[AlarmSpan],
 ) -> None:
@@ -214,21 +197,19 @@ def _draw_legend(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    theme = look.theme
-
     def area(colour: str, alpha: float, label: str) -> Patch:
         return Patch(color=colour, alpha=alpha, linewidth=0, label=label)
 
     marks: list[Any] = [Line2D([], [], color=theme.estimate, label="fault estimate")]
     if any(
-        (trace.layout.observer, trace.layout.faults[place]) not in look.run.without_sd
-        for trace, rows in zip(traces, chosen, strict=True)
+        (trace.layout.observer, trace.layout.faults[place]) not in run.without_sd
+        for trace, rows in zip(run.traces, chosen, strict=True)
         for place in rows.alone
     ):
         marks.append(area(theme.estimate, DOUBT_ALPHA, f"±{DOUBT_DEVIATIONS:g} std. dev."))
-    if look.run.truth:
+    if run.truth:
         marks.append(Line2D([], [], color=theme.ink, linestyle=TRUTH_DASHES, linewidth=1.6, label="truth"))
-    if look.run.thresholds:
+    if run.thresholds:
         marks.append(area(theme.muted, BAND_ALPHA, "within threshold"))
     for severity in ("warning", "critical"):
         if any(span.severity == severity for span in spans):

@@ -68,7 +68,7 @@
     const low = names.indexOf("low"), high = names.indexOf("high");
     const axis = { stroke: () => colour("--ink"), grid: { stroke: () => colour("--line"), width: 1 }, ticks: { show: false } };
     const series = content.series.map((one, index) => ({
-      label: one.name,
+      label: one.of ? `${one.name} (${one.of})` : one.name,
       stroke: () => (one.kind ? colour(stroke(one.kind, index)) : "transparent"),
       dash: one.kind === "truth" ? [6, 4] : undefined,
       width: one.kind === "truth" ? 2 : 1.3,
