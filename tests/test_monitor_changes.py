@@ -185,6 +185,24 @@ def test_it_does_not_matter_how_samples_are_cut(rule: ChangeRule) -> None:
         np.testing.assert_array_equal(one, np.concatenate(other))
 
 
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 2**16), st.floats(0.0, 0.2), st.floats(0.0, 0.05), st.booleans())
+def test_samples_name_what_has_the_nats_they_ask_for_and_nothing_else(
+    rule: ChangeRule, seed: int, loss: float, growth: float, broken: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    flown = flight(rng, 8.0, loss=loss, motor=seed % 4, at_s=4.0, turn=0.4, growth=growth, broken=broken)
+    asked = np.where(rng.random(len(flown)) < 0.1, 0.0, rng.choice([20.0, 100.0, 400.0]))
+    nobody = np.zeros((len(flown), 4))
+    everything = stage(rule).run(flown.samples, flown.armed, nobody)
+    run = stage(rule).run(flown.samples, flown.armed, nobody, asked)
+    wanted = (everything.named >= 0) & (everything.nats >= asked)
+    for one, other, nothing in zip(
+        run, everything, (-1, 0.0, 0.0, 0.0, 0.0, flown.samples.vehicle_time_ns), strict=True
+    ):
+        np.testing.assert_array_equal(one, np.where(wanted, other, nothing))
+
+
 def test_samples_that_are_not_evidence_or_incomplete_name_nothing(rule: ChangeRule) -> None:
     flown = flight(np.random.default_rng(9), 5.0, loss=0.3, at_s=3.0)
     flown.samples.complete[300:] = False

@@ -39,4 +39,5 @@ class ChangeTest:
         times_ns: NDArray[np.int64],
         armed: Flags,
         believed: Array,
+        asked: Array | None = None,
     ) -> tuple[NDArray[np.intp], Array, Array, Array, Array, NDArray[np.int64]]: ...

@@ -1,4 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+# distutils: extra_compile_args = -ftree-vectorize -fvect-cost-model=dynamic
+# Sums of different onsets are independent: two are added at a time, to the same bits.
 """Likelihood ratio of a fault that began lately against health, on whitened innovations, row after row.
 
 The rule itself; :mod:`monitor.estimation.changes` tells what it is for, in the same symbols.
@@ -27,6 +29,10 @@ cdef double LARGEST_LOSS = 1.25
 # Smallest determinant of two onsets' information, as a share of the product of its diagonal, with which both are fitted
 # together: below it they are one and the difference is rounding.
 cdef double SMALLEST_DETERMINANT = 1e-9
+# Rows between two moves of what is kept of onsets. Chosen: a move costs each of them a share of a row's work, and sums
+# over so few rows lose no digit that counts.
+cdef enum:
+    ROOM = 64
 
 
 cdef struct Fitted:
@@ -39,6 +45,26 @@ cdef struct Fitted:
 cdef inline Py_ssize_t back(Py_ssize_t newest, Py_ssize_t age, Py_ssize_t length) noexcept:
     """Return the index in a ring of what is so many rows older than the newest, fewer than it has."""
     return newest - age if newest >= age else newest - age + length
+
+
+cdef void add(double* total, Py_ssize_t count, double factor, const double* terms, double constant) noexcept:
+    """Add a multiple of terms, and a constant, to as many sums."""
+    cdef Py_ssize_t i
+    for i in range(count):
+        total[i] += factor * terms[i] + constant
+
+
+cdef void move(double* total, Py_ssize_t count, Py_ssize_t start, double constant) noexcept:
+    """Add a constant to as many sums, and move them to where they are to start."""
+    cdef Py_ssize_t i
+    for i in range(count - 1, -1, -1):
+        total[start + i] = total[i] + constant
+
+
+def _nonzero(matrix):
+    """Return the columns that are not zero, row after row, and where those of each row start."""
+    used = np.asarray(matrix) != 0.0
+    return np.nonzero(used)[1].astype(np.intp), np.concatenate([[0], np.cumsum(used.sum(axis=1))]).astype(np.intp)
 
 
 cdef class ChangeTest:
@@ -89,24 +115,31 @@ cdef class ChangeTest:
     cdef double[:, ::1] dynamics, curves, variance
     cdef double[::1] taps
     cdef Py_ssize_t[::1] judged, actuators, owner, faults
-    cdef double[:, :, ::1] whitening, impulse, direct, additions
+    cdef double[:, :, ::1] whitening, impulse, direct
     cdef double[:, ::1] grown
     cdef Py_ssize_t n, s, p, m, S, H, L, P, D, depth, length, hold, window
     cdef double clip, follow, limit, rate_hz, step_ns
     cdef bint driven
-    # what is kept from row to row: v, innovations, |y| and |B dv|, newest at ``at`` of rings
+    # columns of matrices that are not zero, row after row, and where those of a row start
+    cdef Py_ssize_t[::1] from_y, of_y, from_v, of_v, from_nu, of_nu, from_added, of_added
+    # additions, their squares, and their products with those of an onset a row later, by age (S, p, D)
+    cdef double[:, :, ::1] added, squared, crossed
+    # kept from row to row in rings, newest at ``row``: v, what the lag lets through, innovations, |y| and |B dv|
     cdef double[:, ::1] v, acting, innovation, excited
-    cdef double[::1] last_y, whitened, sigma, certainty, level
-    # of each actuator: what a loss before the lag, behind it, and one before it by its rows makes of e; s one row ago
+    cdef double[::1] last_y, most_excited, whitened, sigma, certainty, level, growing
+    # of each actuator: what a loss before the lag, behind it, and one before it by its rows makes of e; s a row before
     cdef double[:, ::1] partial, behind, delayed, later
-    cdef double[::1] growing, along, square, cross
     cdef uint8_t[::1] is_sudden
-    # onsets that are tried: sums of s'z and s's by hypothesis, of s's with the onset a row later, and of |z|^2 / 2; the
-    # onset begun last is at ``newest``
+    # Onsets that are tried: sums of s'z and s's by hypothesis, of s's with the onset a row later, and of |z|^2 / 2. An
+    # onset ``age`` rows older than the newest is at ``newest + age``; room for further ones is before it.
     cdef double[:, ::1] moment, information, mixed
     cdef double[::1] energy
-    # nats of each actuator's sudden loss
-    cdef double[::1] sudden
+    # Beyond the settling of its response all onsets add the same: these sums are to be added to those of every onset.
+    cdef double[::1] settled_moment, settled_information
+    cdef double settled_energy
+    # upper bound of the nats of each hypothesis; the best one of the row before and the best of another fault
+    cdef double[::1] bound
+    cdef Py_ssize_t leading[2]
     cdef Py_ssize_t begun, newest, known, commands
     cdef int64_t row
     cdef bint has_y
@@ -120,7 +153,7 @@ cdef class ChangeTest:
         self.p, self.m, self.L, self.P = len(judged), len(actuators), len(taps), len(whitening)
         self.s = len(curves)
         self.n = dynamics.shape[1] - self.s - 1
-        self.additions, self.grown = np.ascontiguousarray(additions, float), np.ascontiguousarray(grown, float)
+        self.grown = np.ascontiguousarray(grown, float)
         self.D, self.S = self.grown.shape[0], self.grown.shape[1]
         self.owner = np.concatenate([np.arange(self.m)] * 3 + [np.asarray(owner)]).astype(np.intp)
         self.faults = np.asarray(faults, np.intp)
@@ -131,17 +164,25 @@ cdef class ChangeTest:
         self.length = max(self.depth + 2, self.P + 1)
         self.v, self.acting = np.zeros((2, self.length, self.s))
         self.innovation = np.zeros((self.length, self.p))
-        self.excited = np.zeros((self.hold, 2 * self.p))
+        self.excited, self.most_excited = np.zeros((self.hold, 2 * self.p)), np.zeros(2 * self.p)
         self.last_y = np.zeros(self.n)
         self.whitened, self.sigma, self.certainty = np.zeros(self.p), np.ones(self.p), np.ones(self.p)
         self.level, self.follow = np.ones(self.p), 1.0 / level_rows
         self.partial, self.behind, self.delayed = np.zeros((3, self.m, self.p))
-        self.later, self.sudden, self.growing = np.zeros((self.H, self.p)), np.zeros(self.m), np.zeros(self.p)
-        self.along, self.square, self.cross = np.zeros((3, self.H))
+        self.later, self.growing = np.zeros((3 * self.m, self.p)), np.zeros(self.p)
         self.is_sudden = np.repeat([1, 0], [2 * self.m, self.m]).astype(np.uint8)
         self.is_sudden = np.concatenate([self.is_sudden, np.asarray(sudden)]).astype(np.uint8)
-        self.moment, self.information, self.mixed = np.zeros((3, self.H, self.window))
-        self.energy = np.zeros(self.window)
+        self.moment, self.information, self.mixed = np.zeros((3, self.H, self.window + ROOM))
+        self.energy = np.zeros(self.window + ROOM)
+        self.settled_moment, self.settled_information, self.bound = np.zeros((3, self.H))
+        self.leading[0] = self.leading[1] = 0
+        self.of_y, self.from_y = _nonzero(dynamics[:, : self.n])
+        self.of_v, self.from_v = _nonzero(dynamics[:, self.n : self.n + self.s])
+        self.of_nu, self.from_nu = _nonzero(np.abs(whitening).sum(axis=0))
+        course = np.ascontiguousarray(np.asarray(additions, float).transpose(1, 2, 0))
+        self.of_added, self.from_added = _nonzero(np.abs(course).max(axis=2))
+        self.added, self.squared, self.crossed = course, course * course, np.zeros_like(course)
+        np.asarray(self.crossed)[:, :, 1:] = course[:, :, 1:] * course[:, :, :-1]
         self.impulse = self._impulse(np.asarray(dynamics), np.asarray(taps), np.asarray(whitening))
         self.direct = self._impulse(np.asarray(dynamics), np.ones(1), np.asarray(whitening))
         self.row = 0
@@ -165,7 +206,11 @@ cdef class ChangeTest:
         self.drop_onsets()
 
     cdef void drop_onsets(self) noexcept:
-        self.begun, self.newest = 0, self.window - 1
+        self.begun, self.newest = 0, self.window + ROOM
+        self.settled_moment[:] = 0.0
+        self.settled_information[:] = 0.0
+        self.bound[:] = 0.0
+        self.settled_energy = 0.0
 
     def innovations(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] usable,
                     const uint8_t[:] restart):
@@ -179,12 +224,11 @@ cdef class ChangeTest:
             known[k] = self.known > 0
             for i in range(self.p):
                 found[k, i] = self.innovation[self.row % self.length, i]
-                excited[k, i] = self.largest(i)
-                excited[k, self.p + i] = self.largest(self.p + i)
+                excited[k, i], excited[k, self.p + i] = self.most_excited[i], self.most_excited[self.p + i]
         return results
 
     def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] usable, const uint8_t[:] restart,
-            const int64_t[:] times_ns, const uint8_t[:] armed, const double[:, :] believed):
+            const int64_t[:] times_ns, const uint8_t[:] armed, const double[:, :] believed, const double[:] asked=None):
         """Return the named fault (N,), -1 for none, with nats, size, its growth a second, sd and time of onset (N,).
 
         The size of an actuator's fault is the share of its effect, negative where it lost; that of a sensor is given as
@@ -200,6 +244,8 @@ cdef class ChangeTest:
             Samples that are measured and complete, at which the observer starts afresh, that are evidence.
         believed : float64 (N, a)
             Signed size of each of the observer's faults as it believes it.
+        asked : float64 (N,), optional
+            Nats with fewer of which a row names no fault; 0 where it is left out.
         """
         cdef Py_ssize_t k, owner, count = u.shape[0]
         cdef double sign = -1.0 if self.m else 1.0
@@ -216,7 +262,7 @@ cdef class ChangeTest:
                 continue
             self.whiten()
             self.accumulate()
-            owner = self.judge(believed[k], &found)
+            owner = self.judge(believed[k], 0.0 if asked is None else asked[k], &found)
             if owner >= 0:
                 named[k], nats[k], sd[k] = self.faults[owner], found.nats, sqrt(found.variance)
                 size[k], growth[k] = sign * found.size, sign * found.growth
@@ -251,15 +297,16 @@ cdef class ChangeTest:
                 self.innovation[row, i] = 0.0
             else:
                 moved = self.dynamics[i, self.n + self.s]
-                for j in range(self.n):
-                    moved += self.dynamics[i, j] * self.last_y[j]
-                for j in range(self.s):
-                    moved += self.dynamics[i, self.n + j] * self.acting[row, j]
+                for d in range(self.from_y[i], self.from_y[i + 1]):
+                    moved += self.dynamics[i, self.of_y[d]] * self.last_y[self.of_y[d]]
+                for d in range(self.from_v[i], self.from_v[i + 1]):
+                    moved += self.dynamics[i, self.n + self.of_v[d]] * self.acting[row, self.of_v[d]]
                 self.innovation[row, i] = value - moved
             moved = 0.0
             if self.driven:
                 value = 0.0
-            for j in range(self.s):
+            for d in range(self.from_v[i], self.from_v[i + 1]):
+                j = self.of_v[d]
                 if self.commands:
                     moved += self.dynamics[i, self.n + j] * (self.v[row, j] - self.v[before, j])
                 if self.driven:
@@ -271,25 +318,28 @@ cdef class ChangeTest:
         self.has_y = usable
         for j in range(self.n):
             self.last_y[j] = y[k, j]
+        self.hold_excitation()
 
-    cdef double largest(self, Py_ssize_t column) noexcept:
-        """Return the largest of the last rows: as many as there were since the restart, ``hold`` at most."""
-        cdef Py_ssize_t i, newest = self.row % self.hold
-        cdef double most = 0.0
-        for i in range(min(self.hold, self.commands)):
-            most = max(most, self.excited[back(newest, i, self.hold), column])
-        return most
+    cdef void hold_excitation(self) noexcept:
+        """Find the largest of the last rows: as many as there were since the restart, ``hold`` at most."""
+        cdef Py_ssize_t age, i, row, newest = self.row % self.hold
+        self.most_excited[:] = 0.0
+        for age in range(min(self.hold, self.commands)):
+            row = back(newest, age, self.hold)
+            for i in range(2 * self.p):
+                self.most_excited[i] = max(self.most_excited[i], self.excited[row, i])
 
     cdef void whiten(self) noexcept:
         """z = (nu - sum_i Phi_i nu(k - i)) / sigma, at most ``clip``; sigma^2 = (c_0 + c_1 r^2 + c_2 d^2) lambda."""
-        cdef Py_ssize_t i, j, lag, newest = self.row % self.length
+        cdef Py_ssize_t i, j, d, lag, newest = self.row % self.length
         cdef double e, rate, moved, square, length = 0.0, weight
         for i in range(self.p):
             e = self.innovation[newest, i]
             for lag in range(self.P):
-                for j in range(self.p):
+                for d in range(self.from_nu[i], self.from_nu[i + 1]):
+                    j = self.of_nu[d]
                     e -= self.whitening[lag, i, j] * self.innovation[back(newest, lag + 1, self.length), j]
-            rate, moved = self.largest(i), self.largest(self.p + i)
+            rate, moved = self.most_excited[i], self.most_excited[self.p + i]
             self.sigma[i] = sqrt(
                 self.variance[i, 0] + self.variance[i, 1] * rate * rate + self.variance[i, 2] * moved * moved)
             square = e * e / (self.sigma[i] * self.sigma[i])
@@ -306,52 +356,86 @@ cdef class ChangeTest:
 
     cdef void accumulate(self) noexcept:
         """Begin an onset at this row, and add s'z, s's and |z|^2 / 2 of the row to every onset in the window."""
-        cdef Py_ssize_t age, i, j, h, place, newest = self.row % self.length
-        cdef double half = 0.0, value, since
-        self.newest = (self.newest + 1) % self.window
+        cdef Py_ssize_t i, h
+        cdef double half = 0.0
+        if self.newest == 0:
+            self.make_room()
+        self.newest -= 1
         self.begun = min(self.begun + 1, self.window)
         for h in range(self.H):
-            self.moment[h, self.newest] = self.information[h, self.newest] = self.mixed[h, self.newest] = 0.0
-        self.energy[self.newest] = 0.0
+            self.moment[h, self.newest] = -self.settled_moment[h]
+            self.information[h, self.newest] = self.mixed[h, self.newest] = -self.settled_information[h]
+        self.energy[self.newest] = -self.settled_energy
         for i in range(self.p):
             half += 0.5 * self.whitened[i] * self.whitened[i]
+        self.settled_energy += half
+        for h in range(self.H):
+            # No fit explains more of all rows than the best one of those before, and all of this one.
+            self.bound[h] += half
+        self.add_losses()
+        self.add_additions()
+
+    cdef void make_room(self) noexcept:
+        """Move what is kept of onsets to the end, without the one that leaves the window."""
+        cdef Py_ssize_t h, kept = min(self.begun, self.window - 1), start = self.window + ROOM - kept
+        for h in range(self.H):
+            move(&self.moment[h, 0], kept, start, self.settled_moment[h])
+            move(&self.information[h, 0], kept, start, self.settled_information[h])
+            move(&self.mixed[h, 0], kept, start, self.settled_information[h])
+        move(&self.energy[0], kept, start, self.settled_energy)
+        self.newest, self.settled_energy = start, 0.0
+        self.settled_moment[:] = 0.0
+        self.settled_information[:] = 0.0
+
+    cdef void add_losses(self) noexcept:
+        """Add what losses of actuators since each onset make of this row.
+
+        Of onsets that lie further back than lag and whitening remember the response is the same, or grows evenly.
+        """
+        cdef Py_ssize_t age, i, j, h, source, before, at, newest = self.row % self.length
+        cdef double value, since, s, along, square, slope_along, slope_square, inner
+        cdef double* moment
+        cdef double* information
         self.partial[:, :] = 0.0
         self.behind[:, :] = 0.0
         self.delayed[:, :] = 0.0
         self.later[:, :] = 0.0
-        for age in range(self.begun):
-            place = back(self.newest, age, self.window)
-            since = age / self.rate_hz
-            self.energy[place] += half
-            for j in range(self.m):
-                if age < self.depth:
-                    # The response to a loss since ``age`` rows: v that came before it is not missing.
-                    for i in range(self.p):
-                        value = self.impulse[age, j, i] * self.v[back(newest, age + 1, self.length), self.actuators[j]]
-                        self.partial[j, i] += value
-                        self.delayed[j, i] += since * value
-                        if age <= self.P:
-                            self.behind[j, i] += (
-                                self.direct[age, j, i]
-                                * self.acting[back(newest, age, self.length), self.actuators[j]])
-                # Of onsets that lie further back than lag and whitening remember the response is the same.
-                if age <= self.depth:
-                    self.respond(j, &self.partial[j, 0])
-                    self.respond(self.m + j, &self.behind[j, 0])
+        for j in range(self.m):
+            source = self.actuators[j]
+            for age in range(self.depth):
+                since = age / self.rate_hz
+                before, at = back(newest, age + 1, self.length), back(newest, age, self.length)
                 for i in range(self.p):
+                    # The response to a loss since ``age`` rows: v that came before it is not missing.
+                    value = self.impulse[age, j, i] * self.v[before, source]
+                    self.partial[j, i] += value
+                    self.delayed[j, i] += since * value
+                    if age <= self.P:
+                        self.behind[j, i] += self.direct[age, j, i] * self.acting[at, source]
                     self.growing[i] = since * self.partial[j, i] - self.delayed[j, i]
-                self.respond(2 * self.m + j, &self.growing[0])
-            if age <= self.D:
-                for h in range(self.S):
-                    self.respond(3 * self.m + h, &self.additions[min(age, self.D - 1), h, 0])
-            for h in range(self.H):
-                self.moment[h, place] += self.along[h]
-                self.information[h, place] += self.square[h]
-                self.mixed[h, place] += self.cross[h]
+                self.respond(j, age, &self.partial[j, 0])
+                self.respond(self.m + j, age, &self.behind[j, 0])
+                self.respond(2 * self.m + j, age, &self.growing[0])
+            self.settle(j)
+            self.settle(self.m + j)
+            h = 2 * self.m + j
+            along = square = slope_along = slope_square = inner = 0.0
+            for i in range(self.p):
+                s, value = self.later[h, i], self.partial[j, i] * self.certainty[i]
+                along += s * self.whitened[i]
+                square += s * s
+                slope_along += value * self.whitened[i]
+                slope_square += value * value
+                inner += s * value
+            moment, information = &self.moment[h, self.newest], &self.information[h, self.newest]
+            for age in range(self.depth, self.begun):
+                since = (age - self.depth + 1) / self.rate_hz
+                moment[age] += along + since * slope_along
+                information[age] += square + since * (2.0 * inner + since * slope_square)
 
-    cdef void respond(self, Py_ssize_t h, const double* response) noexcept:
-        """Take what a hypothesis makes of a row: along s = response / sigma, its square, and s times that of before."""
-        cdef Py_ssize_t i
+    cdef void respond(self, Py_ssize_t h, Py_ssize_t age, const double* response) noexcept:
+        """Add to an onset s'z, s's and s times that of an onset a row later; s = response / sigma."""
+        cdef Py_ssize_t i, place = self.newest + age
         cdef double s, along = 0.0, square = 0.0, cross = 0.0
         for i in range(self.p):
             s = response[i] * self.certainty[i]
@@ -359,7 +443,48 @@ cdef class ChangeTest:
             square += s * s
             cross += s * self.later[h, i]
             self.later[h, i] = s
-        self.along[h], self.square[h], self.cross[h] = along, square, cross
+        if age < self.begun:
+            self.moment[h, place] += along
+            self.information[h, place] += square
+            self.mixed[h, place] += cross
+
+    cdef void settle(self, Py_ssize_t h) noexcept:
+        """Let older onsets than have responded to this row have the response of the oldest of them."""
+        cdef Py_ssize_t i, age
+        cdef double along = 0.0, square = 0.0
+        for i in range(self.p):
+            along += self.later[h, i] * self.whitened[i]
+            square += self.later[h, i] * self.later[h, i]
+        self.settled_moment[h] += along
+        self.settled_information[h] += square
+        for age in range(self.newest, self.newest + min(self.begun, self.depth)):
+            self.moment[h, age] -= along
+            self.information[h, age] -= square
+            self.mixed[h, age] -= square
+
+    cdef void add_additions(self) noexcept:
+        """Add what additions to what is measured, since each onset, make of this row."""
+        cdef Py_ssize_t d, h, i, place, count = min(self.begun, self.D)
+        cdef double along, square, pull, weight
+        for h in range(self.S):
+            place = 3 * self.m + h
+            along = square = 0.0
+            if self.D < self.window:
+                for d in range(self.from_added[h], self.from_added[h + 1]):
+                    i = self.of_added[d]
+                    along += self.added[h, i, self.D - 1] * self.certainty[i] * self.whitened[i]
+                    square += self.squared[h, i, self.D - 1] * self.certainty[i] * self.certainty[i]
+            self.settled_moment[place] += along
+            self.settled_information[place] += square
+            for d in range(self.from_added[h], self.from_added[h + 1]):
+                i = self.of_added[d]
+                weight = self.certainty[i] * self.certainty[i]
+                pull = self.certainty[i] * self.whitened[i]
+                add(&self.moment[place, self.newest], count, pull, &self.added[h, i, 0], -along)
+                add(&self.information[place, self.newest], count, weight, &self.squared[h, i, 0], -square)
+                if self.is_sudden[place]:
+                    add(&self.mixed[place, self.newest], count, weight, &self.crossed[h, i, 0], -square)
+                along = square = 0.0
 
     cdef Fitted fit(self, Py_ssize_t h) noexcept:
         """Return how well a hypothesis explains the window: g = (s'z)^2 / (2 s's), the largest of all onsets.
@@ -370,15 +495,16 @@ cdef class ChangeTest:
         cdef Fitted best = Fitted(0.0, 0.0, 0.0, 0.0, 0)
         cdef Py_ssize_t age, place
         cdef double along, square, mixed, determinant, explained, early, late
+        cdef double settled_along = self.settled_moment[h], settled_square = self.settled_information[h]
         # of the onset a row later
         cdef double next_along = 0.0, next_square = 0.0
         for age in range(self.begun):
-            place = back(self.newest, age, self.window)
-            along, square = self.moment[h, place], self.information[h, place]
+            place = self.newest + age
+            along, square = self.moment[h, place] + settled_along, self.information[h, place] + settled_square
             if along * along > 2.0 * best.nats * square:
                 best = Fitted(0.5 * along * along / square, along / square, 1.0 / square, 0.0, age)
             if age and self.is_sudden[h]:
-                mixed = self.mixed[h, place]
+                mixed = self.mixed[h, place] + settled_square
                 determinant = square * next_square - mixed * mixed
                 early = along * next_square - mixed * next_along
                 late = square * next_along - mixed * along
@@ -392,40 +518,69 @@ cdef class ChangeTest:
                         0.5 * explained / determinant, (early + late) / determinant,
                         (square + next_square - 2.0 * mixed) / determinant, 0.0, age)
             next_along, next_square = along, square
+        self.bound[h] = best.nats
         return best
 
-    cdef Py_ssize_t judge(self, const double[:] believed, Fitted* chosen) noexcept:
-        """Return the fault whose change explains the window best, beyond doubt, else -1."""
-        cdef Py_ssize_t h, owner, best = -1, place
-        cdef double prior, first = -1e300, second = -1e300, unexplained
-        cdef Fitted found
-        cdef double grown = 1.0
-        for owner in range(self.m):
-            self.sudden[owner] = 0.0
+    cdef double prior(self, Py_ssize_t h, const Fitted* found, const double[:] believed) noexcept:
+        """Return the nats against what a hypothesis says. A loss that ends is no actuator that delivers more."""
+        if h < 3 * self.m and found.size < 0.0 and not believed[self.faults[self.owner[h]]] < 0.0:
+            return AGAINST_GAIN
+        return 0.0
+
+    cdef bint may_reach(self, double asked) noexcept:
+        """Return whether a hypothesis has so many nats; most rows tell by what is known of those before."""
+        cdef Py_ssize_t h
         for h in range(self.H):
-            found, owner = self.fit(h), self.owner[h]
-            # A loss that ends is no actuator that delivers more.
-            prior = 0.0
-            if h < 3 * self.m and found.size < 0.0 and not believed[self.faults[owner]] < 0.0:
-                prior = AGAINST_GAIN
-            if h < 2 * self.m:
-                self.sudden[owner] = max(self.sudden[owner], found.nats - prior)
-            elif h < 3 * self.m and (
-                not self.depth <= found.age < self.window - 1 or found.nats - prior < self.sudden[owner] + MARGIN
-            ):
-                # What may as well have come at once, through a lag that is not quite that of the model, does not grow.
-                # What began before the window grows more slowly than from there.
-                continue
-            if found.nats - prior > first:
-                if best < 0 or owner != self.owner[best]:
-                    second = first
-                first, best, chosen[0] = found.nats - prior, h, found
-            elif found.nats - prior > second and owner != self.owner[best]:
-                second = found.nats - prior
-        if best < 0 or self.owner[best] >= self.faults.shape[0] or first - second < MARGIN:
+            if self.bound[h] >= asked:
+                if asked > 0.0:
+                    self.fit(h)
+                if self.bound[h] >= asked:
+                    return True
+        return False
+
+    cdef bint grows(self, Py_ssize_t actuator, const Fitted* found, double nats, const double[:] believed) noexcept:
+        """Return whether a loss grows, which no sudden one explains nearly as well."""
+        cdef Py_ssize_t h
+        cdef Fitted sudden
+        # What began before the window grows more slowly than from there.
+        if not self.depth <= found.age < self.window - 1 or nats < MARGIN:
+            return False
+        for h in range(actuator, 2 * self.m, self.m):
+            # What may as well have come at once, through a lag that is not quite that of the model, does not grow.
+            if self.bound[h] > nats - MARGIN:
+                sudden = self.fit(h)
+                if nats < sudden.nats - self.prior(h, &sudden, believed) + MARGIN:
+                    return False
+        return True
+
+    cdef Py_ssize_t judge(self, const double[:] believed, double asked, Fitted* chosen) noexcept:
+        """Return the fault whose change explains the window best, beyond doubt and with the nats asked, else -1."""
+        cdef Py_ssize_t k, h, owner, best = -1, runner = -1
+        cdef double nats, first = -1e300, second = -1e300, unexplained, grown = 1.0
+        cdef Fitted found
+        if not self.may_reach(asked):
             return -1
-        place = back(self.newest, chosen.age, self.window)
-        unexplained = self.energy[place] - chosen.nats
+        for k in range(-2, self.H):
+            # First those that are likely to leave no others a chance.
+            h = self.leading[k + 2] if k < 0 else k
+            owner = self.owner[h]
+            if self.bound[h] < (first if best >= 0 and owner == self.owner[best] else second):
+                continue
+            found = self.fit(h)
+            nats = found.nats - self.prior(h, &found, believed)
+            if 2 * self.m <= h < 3 * self.m and not self.grows(owner, &found, nats, believed):
+                continue
+            if nats > first or (nats == first and h < best):
+                if best < 0 or owner != self.owner[best]:
+                    second, runner = first, best
+                first, best, chosen[0] = nats, h, found
+            elif nats > second and owner != self.owner[best]:
+                second, runner = nats, h
+        if best >= 0 and runner >= 0:
+            self.leading[0], self.leading[1] = best, runner
+        if best < 0 or self.owner[best] >= self.faults.shape[0] or first - second < MARGIN or chosen.nats < asked:
+            return -1
+        unexplained = self.energy[self.newest + chosen.age] + self.settled_energy - chosen.nats
         if unexplained > UNEXPLAINED_SHARE * chosen.nats + NOISE_OF_AXIS * self.p * (chosen.age + 1):
             return -1
         # What the fit leaves says how well the signature is known: where it is more than noise, so is the size's error.

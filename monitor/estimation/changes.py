@@ -207,9 +207,18 @@ class ChangeStage:
         """Return what the noise is fitted to: innovations (n, p), r and d (n, 2 p), and where they are known (n,)."""
         return self._test.innovations(*self._given(samples))
 
-    def run(self, samples: Samples, armed: NDArray[np.bool_], believed: NDArray[np.float64]) -> ChangeRun:
-        """Process n samples; ``armed`` says which are evidence (n,), ``believed`` each fault's size (n, a)."""
-        return ChangeRun(*self._test.run(*self._given(samples), samples.vehicle_time_ns, armed, believed))
+    def run(
+        self,
+        samples: Samples,
+        armed: NDArray[np.bool_],
+        believed: NDArray[np.float64],
+        asked: NDArray[np.float64] | None = None,
+    ) -> ChangeRun:
+        """Process n samples; ``armed`` says which are evidence (n,), ``believed`` each fault's size (n, a).
+
+        With ``asked`` (n,) samples name nothing that has fewer nats: that costs a small part of what all names do.
+        """
+        return ChangeRun(*self._test.run(*self._given(samples), samples.vehicle_time_ns, armed, believed, asked))
 
     def _given(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return u and y with those of the sample before beside them, as far as the prediction asks for them."""
