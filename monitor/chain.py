@@ -22,7 +22,7 @@ from adapters.sample import Samples
 from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
-from monitor.core.alarms import EXPLAINED, RAISED, UPDATED, ChainRows, Weighing, walk
+from monitor.core.alarms import EXPLAINED, RAISED, UPDATED, ChainRows, Weighing, nats_asked, walk
 from monitor.core.observers import CommandScale, SinceMeasured, shares_in_command
 from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimates, Layout
@@ -448,7 +448,11 @@ class ObserverChain:
                 relative[alarm] = effect.share
             elif fault in commands:
                 scaled[alarm] = commands[fault]
-        changes = self._changes_of(estimates, commands)
+        changes = None
+        if self._changes is not None:
+            asked = nats_asked(self._states[: len(self._faults)], evidence, speaking, alarm_scale, beyond)
+            changes = self._changes.run(samples, estimates.armed, estimates.isolated, asked)
+            changes = None if changes.named.max(initial=-1) < 0 else self._command.of_change(changes, commands)
         if changes is not None and beyond is not None:
             # so many times larger errors are likelier to look like a fault by the square
             changes = changes._replace(nats=changes.nats / beyond**2)
@@ -476,13 +480,6 @@ class ObserverChain:
             {alarm: estimates.sd[:, fault] for alarm, fault in enumerate(self._faults) if alarm not in relative},
             None if changes is None else changes.sd,
         )
-
-    def _changes_of(self, estimates: Estimates, commands: Mapping[int, NDArray[np.float64]]) -> ChangeRun | None:
-        """Return the sudden change that each row names, None where none does."""
-        if self._changes is None:
-            return None
-        run = self._changes.run(estimates.samples, estimates.armed, estimates.isolated)
-        return None if run.named.max(initial=-1) < 0 else self._command.of_change(run, commands)
 
     def _named(self, run: ChangeRun) -> tuple[NDArray[Any], ...]:
         """Return the alarm whose sudden change each row names, with its nats, size, growth and onset."""

@@ -1,20 +1,27 @@
 """Sudden losses on simulated flights of exact truth: seen within samples, named right, never in coloured noise."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+import replay
+from adapters.logs.recordings import read_batches
 from adapters.sample import Samples
 from adapters.toml_tables import parse_toml, toml_value
+from monitor import chain
 from monitor.estimation.changes import CLIP, ChangeRule, ChangeRun, ChangeStage, changes_table, predictor, read_changes
+from monitor.event import AlarmEvent
 from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.flights import Flight
-from monitor.profile import FaultChannel
+from monitor.profile import FaultChannel, read_profile
 from monitor.vehicles.inertial.identify import inertial_plant
 from monitor.vehicles.inertial.sensor_fit import InertialFit, Washouts
 from monitor.vehicles.multirotor.identify import RATE_AXES, MultirotorFit, multirotor_plant
+from replay.player import interests, play_batches
 
 HZ = 100.0
 MOTORS = ("motor1", "motor2", "motor3", "motor4")
@@ -201,6 +208,19 @@ def test_samples_name_what_has_the_nats_they_ask_for_and_nothing_else(
         run, everything, (-1, 0.0, 0.0, 0.0, 0.0, flown.samples.vehicle_time_ns), strict=True
     ):
         np.testing.assert_array_equal(one, np.where(wanted, other, nothing))
+
+
+def test_what_alarms_do_not_ask_of_sudden_changes_makes_no_difference_to_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = Path(replay.__file__).parent / "data"
+    profile = read_profile(data / "quad")
+
+    def events() -> tuple[AlarmEvent, ...]:
+        return play_batches(profile, read_batches(data / "copter_motor1.tlog.xz", interests(profile))).events
+
+    found = events()
+    assert any(event.state == "raised" for event in found)
+    monkeypatch.setattr(chain, "nats_asked", lambda alarms, evidence, *_: np.zeros(len(evidence)))
+    assert events() == found
 
 
 def test_samples_that_are_not_evidence_or_incomplete_name_nothing(rule: ChangeRule) -> None:

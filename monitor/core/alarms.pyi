@@ -62,6 +62,14 @@ class ChainRows:
         onset_ns: NDArray[np.int64] | None = None,
     ) -> None: ...
 
+def nats_asked(
+    alarms: Sequence[AlarmState],
+    evidence: NDArray[np.float64],
+    speaking: NDArray[np.bool_],
+    scale: NDArray[np.float64],
+    beyond: NDArray[np.float64] | None,
+) -> NDArray[np.float64]: ...
+
 class Weighing:
     def __init__(
         self,

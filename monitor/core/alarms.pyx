@@ -377,6 +377,37 @@ cdef class ChainRows:
         return change
 
 
+def nats_asked(alarms, const double[:, :] evidence, const uint8_t[:, :] speaking, const double[:, :] scale,
+               const double[:] beyond):
+    """Return the nats with fewer of which a sudden change makes no difference to any alarm, by row (n,).
+
+    Those are the fewest that raise an alarm, as many times more as errors are larger by the square; none where
+    evidence may raise one, whose size a sudden change then tells.
+
+    Parameters
+    ----------
+    alarms : sequence of AlarmState
+        Those of faults, in the order of the evidence's first columns.
+    evidence, speaking, scale, beyond
+        As :class:`Weighing` takes and returns them.
+    """
+    cdef tuple every = tuple(alarms)
+    cdef Py_ssize_t k, i
+    cdef AlarmState alarm
+    cdef double least = INFINITY
+    result = np.empty(evidence.shape[0])
+    cdef double[::1] asked = result
+    for alarm in every:
+        least = min(least, alarm.nats)
+    for k in range(evidence.shape[0]):
+        asked[k] = least if beyond is None else least * beyond[k] * beyond[k]
+        for i in range(len(every)):
+            alarm = <AlarmState>every[i]
+            if speaking[k, i] and fabs(evidence[k, i]) / scale[k, i] >= min(alarm.threshold, alarm.fast):
+                asked[k] = 0.0
+    return result
+
+
 cdef class Weighing:
     """What estimates are as evidence of an observer's A alarms, and how many times larger than usual it has to be.
 
