@@ -101,9 +101,9 @@ def test_half_seconds_turn_what_the_body_feels_to_north_and_east() -> None:
     values = dict.fromkeys(SIGNALS, 0.0) | {"xacc": -1.0, "zacc": -9.80665, "yaw": math.pi / 2}
     values |= {"gps_speed": 5.0, "gps_course": 180.0, "baro_alt": 7.0}
     row = np.array([0.6, 0.4, *(values[name] for name in SIGNALS)])
-    assert not any(stage.follow(at, at, row) for at in range(0, 500_000_000, 100_000_000))
-    mean = stage.follow(500_000_000, 500_000_000, row)
-    assert mean is not None
+    times = np.arange(0, 600_000_000, 100_000_000)
+    assert not stage.run(times[:3], times[:3], np.tile(row, (3, 1)))
+    (mean,) = stage.run(times[3:], times[3:], np.tile(row, (3, 1)))
     assert mean.pull == pytest.approx((0.0, -1.0))
     assert mean.velocity == pytest.approx((-5.0, 0.0))
     assert mean.moments == pytest.approx((0.2, 0.0))

@@ -72,12 +72,10 @@ class Conditions:
             return
         # the gate asks the mean command whether the vehicle flies
         commanded = replace(samples, u=samples.u[:, : self._motors])
-        for at in np.flatnonzero(self._sampler.gate.admitted(phase, commanded)):
-            mean = self._half_seconds.follow(
-                int(samples.vehicle_time_ns[at]), int(samples.time_ns[at]), samples.u[at].copy()
-            )
-            if mean is None:
-                continue
+        flown = self._sampler.gate.admitted(phase, commanded)
+        if not flown.any():
+            return
+        for mean in self._half_seconds.run(samples.vehicle_time_ns[flown], samples.time_ns[flown], samples.u[flown]):
             if mean.number != self._number + 1:
                 self._load.clear()
             self._number = mean.number

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -42,53 +41,55 @@ class HalfSeconds:
 
     def __init__(self, arms: NDArray[np.float64], metres: float) -> None:
         self._arms, self._metres = arms, metres
-        self._rows: list[NDArray[np.float64]] = []
+        self._rows = np.empty((0, len(arms) + len(SIGNALS)))
         self._number, self._time_ns = -1, 0
 
-    def follow(self, vehicle_ns: int, time_ns: int, row: NDArray[np.float64]) -> HalfSecond | None:
-        """Take a sample of flight; return the half second before it where it begins another one."""
-        number = vehicle_ns // _HALF_NS
-        if number == self._number:
-            self._rows.append(row)
-            return None
-        mean = self._mean() if len(self._rows) >= _LEAST_ROWS else None
-        self._rows, self._number, self._time_ns = [row], number, time_ns
-        return mean
+    def run(
+        self, vehicle_ns: NDArray[np.int64], time_ns: NDArray[np.int64], rows: NDArray[np.float64]
+    ) -> list[HalfSecond]:
+        """Take n samples of flight; return the half seconds that those after them end."""
+        numbers = vehicle_ns // _HALF_NS
+        begins = np.flatnonzero(np.diff(numbers, prepend=self._number))
+        rest, *others = np.split(rows, begins)
+        self._rows = np.vstack([self._rows, rest])
+        ended = []
+        for first, other in zip(begins, others, strict=True):
+            if len(self._rows) >= _LEAST_ROWS and (mean := self._mean()) is not None:
+                ended.append(mean)
+            self._rows, self._number, self._time_ns = other, int(numbers[first]), int(time_ns[first])
+        return ended
 
     def _mean(self) -> HalfSecond | None:
-        rows = np.array(self._rows)
         motors = len(self._arms)
-        u = rows[:, :motors]
-        x, y, z, roll, pitch, yaw, speed, course, gps_height, height = rows[:, motors:].T
-        mean = u.mean(axis=1)
-        if not (np.isfinite(rows).all() and (mean > 0.0).all() and (z < 0.0).all()):
+        u = self._rows[:, :motors]
+        x, y, z, roll, pitch, yaw, speed, course, gps_height, height = self._rows[:, motors:].T
+        command = u.sum(axis=1)
+        if not (np.isfinite(self._rows).all() and command.min() > 0.0 and z.max() < 0.0):
             return None
         forward = x * np.cos(pitch) + (y * np.sin(roll)) * np.sin(pitch)
         right = y * np.cos(roll)
         north, east = _turned(forward, right, yaw)
-        along, across = _turned(speed, np.zeros(len(speed)), np.radians(course))
-        moments = (u @ self._arms) / u.sum(axis=1, keepdims=True)
+        along, across = _turned(speed, 0.0, np.radians(course))
+        load = np.log(command / motors * _GRAVITY / -z)
+        moments = (u @ self._arms).T / command
+        values = np.array([load, *moments, north, east, along, across, speed, height, gps_height])
+        means = values.mean(axis=1).tolist()
         return HalfSecond(
             number=self._number,
             time_ns=self._time_ns,
-            load=float(np.mean(np.log(mean * _GRAVITY / -z))),
-            moments=_pair(moments.mean(axis=0)),
-            pull=(float(north.mean()), float(east.mean())),
-            velocity=(float(along.mean()), float(across.mean())),
-            speed=float(speed.mean()),
-            height=self._metres * float(height.mean()),
-            gps_height=float(gps_height.mean()),
+            load=means[0],
+            moments=(means[1], means[2]),
+            pull=(means[3], means[4]),
+            velocity=(means[5], means[6]),
+            speed=means[7],
+            height=self._metres * means[8],
+            gps_height=means[9],
         )
 
 
 def _turned(
-    forward: NDArray[np.float64], right: NDArray[np.float64], heading: NDArray[np.float64]
+    forward: NDArray[np.float64], right: NDArray[np.float64] | float, heading: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what lies north and east of what lies forward and right."""
     c, s = np.cos(heading), np.sin(heading)
     return c * forward - s * right, s * forward + c * right
-
-
-def _pair(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
-    first, second = values
-    return float(first), float(second)

@@ -61,18 +61,18 @@ class Load:
         self._window.append(mean)
         if len(self._window) < _BEFORE + _JUMP + _AFTER:
             return None
-        l = np.array([row.load for row in self._window])  # noqa: E741 - as in the formula
+        l = [row.load for row in self._window]  # noqa: E741 - as in the formula
         before, after = l[:_BEFORE], l[-_AFTER:]
-        change = float(np.median(after) - np.median(before))
-        spread = max(float(np.ptp(part.reshape(-1, 2).mean(axis=1))) for part in (before, after))
+        change = _median(after) - _median(before)
+        spread = max(_spread(before), _spread(after))
         if abs(change) < _CERTAIN * max(spread, _LEAST_SPREAD):
             return None
-        if math.copysign(1.0, change) * float(l[_BEFORE + _JUMP] - l[_BEFORE - 1]) < _SUDDEN * abs(change):
+        if math.copysign(1.0, change) * (l[_BEFORE + _JUMP] - l[_BEFORE - 1]) < _SUDDEN * abs(change):
             return None
         if abs(self._climb(slice(-_AFTER, None)) - self._climb(slice(None, _BEFORE))) > _CLIMB:
             return None
-        speed = np.array([row.speed for row in self._window])
-        if abs(float(np.median(speed[-_AFTER:]) - np.median(speed[:_BEFORE]))) > _SPEED:
+        speed = [row.speed for row in self._window]
+        if abs(_median(speed[-_AFTER:]) - _median(speed[:_BEFORE])) > _SPEED:
             return None
         found = self._condition(change, spread)
         self.clear()
@@ -111,6 +111,18 @@ class Load:
         moments = np.array([row.moments for row in rows])
         middle = sum(self._exponents) / 2.0
         return middle * np.asarray(np.median(moments[-_AFTER:], axis=0) - np.median(moments[:_BEFORE], axis=0))
+
+
+def _median(values: list[float]) -> float:
+    """Return the median of an even number of values: NumPy's takes 30 times as long for so few."""
+    middle = len(values) // 2
+    return sum(sorted(values)[middle - 1 : middle + 1]) / 2.0
+
+
+def _spread(values: list[float]) -> float:
+    """Return by how much the means over a second vary, of values over half seconds."""
+    means = [(first + second) / 2.0 for first, second in zip(values[::2], values[1::2], strict=True)]
+    return max(means) - min(means)
 
 
 def _weights(low: float, share: float, high: float, mass_kg: float) -> str:

@@ -55,9 +55,10 @@ class Wind:
         for axis in (0, 1):
             H = np.zeros(3)
             H[0], H[1 + axis] = -mean.velocity[axis], 1.0
-            gain = self._P @ H / (H @ self._P @ H + _NOISE**2)
+            PH = self._P @ H
+            gain = PH / (H @ PH + _NOISE**2)
             self._x = self._x + gain * (mean.pull[axis] - H @ self._x)
-            self._P = self._P - np.outer(gain, H @ self._P)
+            self._P = self._P - gain[:, None] * PH
         drag = float(self._x[0])
         if not math.sqrt(self._P[0, 0]) < _KNOWN * drag:
             return None
