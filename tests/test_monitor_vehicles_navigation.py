@@ -250,3 +250,38 @@ def test_while_the_compass_is_wrong_the_rotation_lacks_what_a_gyro_always_reads_
         rotations.append(y[:, transform.outputs.index("rotation_z")])
     # 0.003 rad/s would be 0.09 rad in 40 s of a washout of 30 s
     assert np.abs(rotations[1] - rotations[0])[ONSET // 4 :].max() < 0.03
+
+
+def bias_told(raw: NDArray[np.float64], axis: str, angle_s: float = 2.0) -> tuple[NDArray[np.float64], Samples]:
+    """Return what an observer behind the transform takes the bias of a gyro for, T f^' = f - f^, and its samples."""
+    transform = Strapdown({**FIELD, f"bias_angle_{axis}_s": angle_s}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    samples = transform.run(raw_samples(raw, 0)).samples
+    y = samples.y[:, transform.outputs.index(f"rotation_{axis}")]
+    rate = samples.u[:, transform.inputs.index(f"rate_{axis}")]
+    dt, washout_s = 1.0 / truth.RATE_HZ, DEFAULTS["washout_s"]
+    kept = np.exp(-dt / washout_s)
+    turned = (y[1:] - kept * y[:-1]) * dt / (washout_s * (1.0 - kept))
+    told = np.zeros(len(y))
+    for k, angle in enumerate(turned):
+        told[k + 1] = told[k] + (rate[k] * dt - angle - told[k] * dt) / angle_s
+    return told, samples
+
+
+def test_once_an_accelerometer_is_to_blame_nothing_is_left_of_the_gyro_that_a_misled_attitude_accused() -> None:
+    raw = noisy(45.0, 3)
+    raw[ONSET:, 0] += 0.6
+    # the autopilot levels itself by that accelerometer
+    raw[:, 7] += 0.06 * np.clip(np.arange(len(raw)) - ONSET, 0, 300) / 300.0
+    told, samples = bias_told(raw, "y")
+    [blamed] = np.flatnonzero(~samples.complete)
+    assert np.abs(told[ONSET // 4 : blamed]).max() > 0.01
+    assert np.abs(told[blamed + 2 :]).max() < 0.001
+
+
+def test_after_a_gyros_fault_an_attitude_that_heads_elsewhere_accuses_none() -> None:
+    raw = noisy(110.0, 4)
+    raw[ONSET:END, 5] += 0.1
+    # the autopilot has learned that bias: its heading goes on to turn away long after the end
+    raw[:, 8] += 0.01 * np.clip(np.arange(len(raw)) - END, 0, None) / truth.SIGNAL_HZ
+    told, _ = bias_told(raw, "z")
+    assert np.abs(told[END // 4 + 100 :]).max() < 0.002

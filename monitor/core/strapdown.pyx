@@ -55,6 +55,8 @@ cdef double _LEARNING_S = 30.0
 # By how much the verticals of autopilot and navigation differ while one is wrong, rad. Measured: 0.003 to 0.008 (root
 # of the mean square) in eight healthy flights of two autopilots, 0.03 to 0.6 after faults of gyros.
 cdef double _TILTED = 0.03
+# The same of their headings, rad: the noise of an autopilot's heading as the navigation takes it.
+cdef double _HEADING_APART = 0.1
 
 # Groups of signals that come and lack together.
 cdef enum:
@@ -250,6 +252,8 @@ cdef class StrapdownCore:
     cdef double[2] _led
     cdef double[4] _apart_gps
     cdef bint _back
+    # Whether what the vehicle turned was set back in this period: a jump that no sensor made.
+    cdef bint _corrected
     cdef bint _still
     cdef int _stills
     # Attitude of the tick before; what it turned so far; first place and the metres of its degrees.
@@ -366,7 +370,7 @@ cdef class StrapdownCore:
         memset(self._once, 0, sizeof(self._once))
         memset(self._led, 0, sizeof(self._led))
         memset(self._apart_gps, 0, sizeof(self._apart_gps))
-        self._back = False
+        self._back = self._corrected = False
 
     def run(self, samples):
         """Go on by raw samples; return the observer's samples, each where its period ends.
@@ -430,8 +434,8 @@ cdef class StrapdownCore:
                             without[count, self._inputs + i] = True
                 if self._doubt[_IMU]:
                     without[count, self._inputs :] = True
-                flags[0, count], flags[1, count] = self._fresh, whole_sample
-                self._fresh = False
+                flags[0, count], flags[1, count] = self._fresh, whole_sample and not self._corrected
+                self._fresh = self._corrected = False
                 for i in range(self._inputs):
                     u[count, i] = self._sum[i] / self._summed
                 # y(k) is what was known at the period's start: y+ = phi y + tau (1 - phi) d / T.
@@ -873,15 +877,19 @@ cdef class StrapdownCore:
         """
         cdef double[3] angles
         cdef double step, apart, largest = 0.0
-        cdef bint biased = False
+        cdef bint biased = False, misled = False
         cdef int axis
         if self._navigation is not None:
             # an attitude follows the compass, too
             biased = self._navigation.strayed
-            for axis in range(3):
+            # nor does one that levels itself by accelerometers know better than the gyros which way is down
+            for axis in range(5):
                 biased |= self._navigation.fault(axis) != 0.0
-            # one with another vertical has not learned yet
-            biased |= self._biased_s > 0.0 and hypot(self._apart[2], self._apart[5]) > _TILTED
+            # one with another vertical, or that heads elsewhere, has not learned yet
+            biased |= self._biased_s > 0.0 and (
+                hypot(self._apart[2], self._apart[5]) > _TILTED or fabs(atan2(self._apart[3], self._apart[0])) > _HEADING_APART
+            )
+            misled = biased and self._biased_s == 0.0
             self._biased_s = _LEARNING_S if biased else max(0.0, self._biased_s - self._dt)
         memcpy(turning, rate, 3 * sizeof(double))
         if self._turning:
@@ -895,14 +903,16 @@ cdef class StrapdownCore:
                 turning[axis] = angles[axis] / self._dt
                 step = rate[axis] * self._dt if 0 < self._resets <= _RESET_TICKS else angles[axis]
                 if self._navigation is not None and not still:
-                    step = self.judged(axis, step, rate[axis])
+                    step = self.judged(axis, step, rate[axis], misled)
                 self._turned[axis] = self._turned[axis] + step
         self._turning = True
         memcpy(self._attitude, R, sizeof(self._attitude))
         memcpy(self._turn_rate, rate, sizeof(self._turn_rate))
 
-    cdef double judged(self, int axis, double step, double rate) noexcept:
+    cdef double judged(self, int axis, double step, double rate, bint misled) noexcept:
         """Return what the vehicle turned about an axis since the tick before, by its attitude and its navigation.
+
+        ``misled`` says that the attitude has just turned out to be no witness: what it told of the gyro is void.
 
         Where a gyro is at fault the autopilot's attitude follows it, before it learns the bias and after that has gone.
         The observer behind follows what the rotation then differs from the gyro as T f^' = f - f^. While the navigation
@@ -921,7 +931,9 @@ cdef class StrapdownCore:
                 # The magnetic heading has turned with the vehicle since the onset: it lacks the rest of that angle.
                 self._seen += missed
                 self._set_back = self._angle_s[axis] * fault - self._seen
-            if missed != 0.0 or fault != 0.0:
+            misled |= missed != 0.0
+            self._corrected |= misled
+            if misled or fault != 0.0:
                 missed = self._angle_s[axis] * (fault - self._estimated[axis])
             self._estimated[axis] += (by_gyro - step + missed - self._estimated[axis] * self._dt) / self._angle_s[axis]
         return step - missed
