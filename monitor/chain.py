@@ -320,17 +320,21 @@ class ObserverChain:
     def distrust(self, is_forged: bool, time_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
         """Let a second sender explain what sensors show from now on, and lately did, or no longer; return the events.
 
-        An actuator's alarm is raised whoever sends: a forged command must not hide that it fails.
+        An actuator's alarm is raised whoever sends: a forged command must not hide that it fails. What was learned of
+        the forged values is no truth about the vehicle: once they end all begins anew.
         """
-        events = []
+        events, changed = [], False
         for alarm in self._alarms:
             channel = alarm.rule.channel
             if channel in self._actuators or not self._excuses.distrust(channel, alarm.state, is_forged):
                 continue
+            changed = True
             if is_forged and alarm.state.active and 0 <= time_ns - alarm.since_ns < _LATELY_NS:
                 events += self._close([alarm], time_ns, vehicle_ns, "the values of a second sender explain it")
                 listed = self._excuses.explained(alarm.rule.channel, time_ns, vehicle_ns, alarm.state)
                 events += [] if listed is None else [listed]
+        if changed and not is_forged:
+            self._sampler.restart()
         return events
 
     def _close(self, alarms: Sequence[Alarm], time_ns: int, vehicle_ns: int, why: str) -> list[AlarmEvent]:
