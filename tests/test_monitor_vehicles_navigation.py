@@ -258,13 +258,17 @@ def bias_told(raw: NDArray[np.float64], axis: str, angle_s: float = 2.0) -> tupl
     samples = transform.run(raw_samples(raw, 0)).samples
     y = samples.y[:, transform.outputs.index(f"rotation_{axis}")]
     rate = samples.u[:, transform.inputs.index(f"rate_{axis}")]
-    dt, washout_s = 1.0 / truth.RATE_HZ, DEFAULTS["washout_s"]
-    kept = np.exp(-dt / washout_s)
-    turned = (y[1:] - kept * y[:-1]) * dt / (washout_s * (1.0 - kept))
-    told = np.zeros(len(y))
-    for k, angle in enumerate(turned):
+    dt, told = 1.0 / truth.RATE_HZ, np.zeros(len(y))
+    for k, angle in enumerate(unwashed(y)):
         told[k + 1] = told[k] + (rate[k] * dt - angle - told[k] * dt) / angle_s
     return told, samples
+
+
+def unwashed(y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the changes of an angle that the transform has washed out."""
+    dt, washout_s = 1.0 / truth.RATE_HZ, DEFAULTS["washout_s"]
+    kept = np.exp(-dt / washout_s)
+    return (y[1:] - kept * y[:-1]) * dt / (washout_s * (1.0 - kept))
 
 
 def test_once_an_accelerometer_is_to_blame_nothing_is_left_of_the_gyro_that_a_misled_attitude_accused() -> None:
@@ -285,3 +289,23 @@ def test_after_a_gyros_fault_an_attitude_that_heads_elsewhere_accuses_none() -> 
     raw[:, 8] += 0.01 * np.clip(np.arange(len(raw)) - END, 0, None) / truth.SIGNAL_HZ
     told, _ = bias_told(raw, "z")
     assert np.abs(told[END // 4 + 100 :]).max() < 0.002
+
+
+def test_the_size_of_a_compass_fault_is_within_twice_its_standard_deviation() -> None:
+    raw = noisy(50.0, 7)
+    R = truth.rotation(300.0 + np.arange(ONSET, len(raw)) / truth.SIGNAL_HZ)
+    c, s = np.cos(0.6), np.sin(0.6)
+    turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    raw[ONSET:, MAG] = np.einsum("nji,jk,nkl,nl->ni", R, turned, R, raw[ONSET:, MAG])
+    # by this the heading that gyros tell drifts
+    raw[:, 5] += 0.002
+    transform = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
+    given = transform.run(raw_samples(raw, 0))
+    changes = unwashed(given.samples.y[:, transform.outputs.index("heading")])
+    rate = given.samples.u[:, transform.inputs.index("heading_rate")]
+    size, sd = np.cumsum(changes - rate[:-1] / truth.RATE_HZ), given.spread["compass"][1:]
+    known = slice(ONSET // 4 + 8, None)
+    assert np.all(sd[: ONSET // 4] == 0.0)
+    error = np.abs(size[known] - size[ONSET // 4 - 4] - 0.6)
+    assert np.mean(error <= 2.0 * sd[known]) > 0.9
+    assert 0.02 < sd[known].max() < 0.05

@@ -95,6 +95,7 @@ cdef class Navigation:
     cdef double led(self, int axis) noexcept
     cdef void begin(self, const double* R) noexcept
     cdef void propagate(self) noexcept
+    cdef void turn_field(self, double* H) noexcept
     cdef void update(self, const double* innovation, const double* variance) noexcept
     cdef void judge(self) noexcept
     cdef void end(self, Signature* signature, int which) noexcept

@@ -478,12 +478,11 @@ cdef class Navigation:
             if variance[m] == INFINITY:
                 continue
             # H of v, or of the field's direction
-            memset(H, 0, sizeof(H))
             if m < 2:
+                memset(H, 0, sizeof(H))
                 H[_V + m] = 1.0
             else:
-                H[0], H[1], H[2] = self._tilting[0], self._tilting[1], 1.0
-                H[_H] = 1.0 if self._field_noise > 0.0 else 0.0
+                self.turn_field(H)
             S, nu = variance[m], innovation[m]
             for i in range(STATES):
                 of_state[i] = 0.0
@@ -514,6 +513,12 @@ cdef class Navigation:
                 for j in range(STATES):
                     self._P[i][j] -= gain[i] * of_state[j] + of_state[i] * gain[j] - gain[i] * S * gain[j]
         self.correct(x)
+
+    cdef void turn_field(self, double* H) noexcept:
+        """Fill in how far each error of the state turns the field's direction."""
+        memset(H, 0, STATES * sizeof(double))
+        H[0], H[1], H[2] = self._tilting[0], self._tilting[1], 1.0
+        H[_H] = 1.0 if self._field_noise > 0.0 else 0.0
 
     cdef void correct(self, const double* x) noexcept:
         """Put an error of the state into the state."""
@@ -670,9 +675,21 @@ cdef class Navigation:
         return self._bias[which] - self._before[which] if self._begun and self._faulty[which] else 0.0
 
     cdef double spread(self, int which) noexcept:
-        """Return the standard deviation of :meth:`fault`: the bias is uncertain now, and was before the fault."""
+        """Return the standard deviation of :meth:`fault`: the bias is uncertain now, and was before the fault.
+
+        That of a compass (5) is how far its field may turn while it is right, by the tilt and heading that gyros tell.
+        """
+        cdef double[STATES] H
+        cdef double variance = 0.0
+        cdef int i, j
         if not self._begun:
             return 0.0
+        if which == _JUMP:
+            self.turn_field(H)
+            for i in range(STATES):
+                for j in range(STATES):
+                    variance += H[i] * self._P[i][j] * H[j]
+            return sqrt(variance)
         return sqrt(self._P[_BG + which][_BG + which] + (self._doubt[which] if self._faulty[which] else 0.0))
 
 

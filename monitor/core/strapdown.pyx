@@ -211,8 +211,8 @@ cdef class StrapdownCore:
     scores : ndarray
         How likely the navigation held its likeliest fault in each of the samples given out last.
     spreads : ndarray
-        Standard deviations of the faults of gyros x, y, z and accelerometers x, y as the navigation judges them in each
-        of these samples (n, 5); 0 where it does not.
+        Standard deviations of the faults of gyros x, y, z, accelerometers x, y and compass as the navigation judges
+        them in each of these samples (n, 6); 0 where it does not.
     """
 
     cdef bint _gps, _baro, _mag, _hectopascal
@@ -405,7 +405,7 @@ cdef class StrapdownCore:
         cdef double[:, ::1] u = inputs, y = outputs
         likeliest = np.zeros(most)
         cdef double[::1] scores = likeliest
-        uncertain = np.zeros((most, 5))
+        uncertain = np.zeros((most, 6))
         cdef double[:, ::1] spreads = uncertain
         for row in range(index.shape[0]):
             if restart[row] or self._unstuck:
@@ -441,9 +441,9 @@ cdef class StrapdownCore:
                 # y(k) is what was known at the period's start: y+ = phi y + tau (1 - phi) d / T.
                 if self._navigation is not None:
                     scores[count] = self._navigation.score
-                    for i in range(5):
-                        # of gyros the attitude tells, unless one of them is at fault
-                        if i >= 3 or self._biased_s > 0.0:
+                    for i in range(6):
+                        # of gyros and compass the attitude tells, unless it is misled
+                        if 3 <= i < 5 or self._biased_s > 0.0:
                             spreads[count, i] = self._navigation.spread(i)
                 for i in range(self._outputs):
                     y[count, i] = self._y[i]
@@ -887,7 +887,8 @@ cdef class StrapdownCore:
                 biased |= self._navigation.fault(axis) != 0.0
             # one with another vertical, or that heads elsewhere, has not learned yet
             biased |= self._biased_s > 0.0 and (
-                hypot(self._apart[2], self._apart[5]) > _TILTED or fabs(atan2(self._apart[3], self._apart[0])) > _HEADING_APART
+                hypot(self._apart[2], self._apart[5]) > _TILTED
+                or fabs(atan2(self._apart[3], self._apart[0])) > _HEADING_APART
             )
             misled = biased and self._biased_s == 0.0
             self._biased_s = _LEARNING_S if biased else max(0.0, self._biased_s - self._dt)

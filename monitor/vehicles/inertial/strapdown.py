@@ -50,8 +50,8 @@ LEARNED = "learned_hold_s"
 ACCELEROMETERS = ("accel_x", "accel_y")
 """Outputs of the navigation: by how much an accelerometer reads too much while it is held responsible."""
 
-_JUDGED = ("gyro_x", "gyro_y", "gyro_z", *ACCELEROMETERS)
-"""Faults that the navigation judges."""
+_JUDGED = ("gyro_x", "gyro_y", "gyro_z", *ACCELEROMETERS, "compass")
+"""Faults whose sizes the navigation knows the uncertainty of."""
 FIX_S = 0.2
 """Seconds between comparisons of the navigation with the GPS. Receivers give 5 to 10 fixes a second."""
 
