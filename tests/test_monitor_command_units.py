@@ -112,3 +112,19 @@ def test_what_scales_no_input_keeps_its_unit(quad: Profile) -> None:
     assert found.commands == {}
     assert np.array_equal(found.fault, ones)
     assert np.array_equal(found.sd, ones)
+
+
+def test_a_loss_of_a_command_that_moves_is_known_as_well_as_the_estimate_follows_it() -> None:
+    rng = np.random.default_rng(5)
+    u = 0.5 + np.convolve(0.05 * rng.normal(size=400), np.ones(5) / 5.0, mode="same")
+    u[:100] = 0.5
+    smoothed = np.empty_like(u)
+    for k, now in enumerate(u):
+        smoothed[k] = 0.8 * smoothed[k - 1] + 0.2 * now if k else now
+    fault = -0.15 * smoothed[:, None]
+    scale = CommandScale(np.ones((1, 1)), np.zeros(1, np.intp), np.zeros(1, np.intp), 0.8)
+    _, isolated, sd, _ = scale.run(u[:, None], np.arange(len(u)) == 0, fault, fault, np.full_like(fault, 1e-4))
+    assert sd[:90] == pytest.approx(1e-4)
+    error = np.abs(isolated[:, 0] + 0.15 * u)[100:]
+    assert error.max() > 1e-3
+    assert np.mean(error <= 2.0 * sd[100:, 0]) > 0.95

@@ -5,7 +5,7 @@ Symbols are those of the theory. Sums go through their terms in one fixed order,
 rows before it alone and never on how many of them came in the same call (BLAS chooses its order by size).
 """
 
-from libc.math cimport fabs, sqrt
+from libc.math cimport fabs, hypot, sqrt
 from libc.stdint cimport int64_t
 
 import numpy as np
@@ -321,20 +321,20 @@ cdef class CommandScale:
 
     cdef double[:, ::1] curves
     cdef Py_ssize_t[::1] inputs, channel
-    cdef double[::1] command
+    cdef double[::1] command, before
     cdef double keep
 
     def __init__(self, curves, inputs, channel, keep):
         self.curves = np.ascontiguousarray(curves, np.float64)
         self.inputs, self.channel = inputs.astype(np.intp), channel.astype(np.intp)
-        self.command = np.zeros(len(inputs))
+        self.command, self.before = np.zeros((2, len(inputs)))
         self.keep = keep
 
     def run(self, const double[:, :] u, const unsigned char[:] restart, const double[:, :] fault,
             const double[:, :] evidence, const double[:, :] sd):
         """Return fault, evidence and sd in command units (n, a), and the smoothed commands (len(inputs), n)."""
         cdef Py_ssize_t k, i, channel, count = u.shape[0], faults = self.channel.shape[0]
-        cdef double keep = self.keep, size, upper
+        cdef double keep = self.keep, size, upper, behind
         if u.shape[1] != self.curves.shape[0] or not count == restart.shape[0] == fault.shape[0]:
             raise ValueError("u, restart and fault do not fit together")
         if not (same_shape(fault, evidence) and same_shape(fault, sd)) or fault.shape[1] != faults:
@@ -348,18 +348,23 @@ cdef class CommandScale:
                 size = u[k, self.inputs[i]]
                 if restart[k]:
                     self.command[i] = size
+                self.before[i] = self.command[i]
                 self.command[i] = keep * self.command[i] + (1.0 - keep) * size
                 commands[i, k] = self.command[i]
             for i in range(faults):
                 channel = self.channel[i]
-                size, upper = fault[k, i], fault[k, i] + sd[k, i]
+                size, upper, behind = fault[k, i], fault[k, i] + sd[k, i], 0.0
                 scaled_evidence[k, i] = evidence[k, i]
                 if channel >= 0:
                     size = self.scaled(channel, size)
                     upper = self.scaled(channel, upper)
                     scaled_evidence[k, i] = self.scaled(channel, evidence[k, i])
+                    # What is a share of the command is as far behind it as the command that is smoothed alike, which
+                    # the measurements of a row show that of the row before.
+                    if self.before[channel] != 0.0:
+                        behind = scaled_evidence[k, i] * (u[k, self.inputs[channel]] / self.before[channel] - 1.0)
                 scaled_fault[k, i] = size
-                scaled_sd[k, i] = fabs(upper - size)
+                scaled_sd[k, i] = hypot(upper - size, behind)
         return (*results, smoothed)
 
     cdef double scaled(self, Py_ssize_t channel, double fault) noexcept:
