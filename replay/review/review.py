@@ -136,7 +136,7 @@ def judged(path: Path, facts: LogFacts, damage: Sequence[Damage] = ()) -> LogRev
             continue
         try:
             with np.errstate(invalid="ignore", divide="ignore"):
-                judgements = list(rule.judge(facts))
+                judgements = list(rule.judge(facts, *(facts.signals[name] for name in rule.needs if name != "watch")))
         except UnjudgedError as error:
             unjudged[rule.title] = str(error)
             continue

@@ -27,24 +27,11 @@ from replay.review.findings import (
 )
 from replay.review.findings.rule import Rule
 
-RULES: Final[tuple[Rule, ...]] = (
-    commands_from_outside.RULE,
-    landing_detected_in_air.RULE,
-    motors_stopped_in_air.RULE,
-    motor_command_stopped.RULE,
-    battery_low.RULE,
-    log_ends_in_flight.RULE,
-    esc_stopped.RULE,
-    motor_at_limit.RULE,
-    actuator_effect.RULE,
-    descent_not_followed.RULE,
-    turned_over.RULE,
-    attitude_not_followed.RULE,
-    gps_lost.RULE,
-    gps_stuck.RULE,
-    sensor_effect.RULE,
-    vibration.RULE,
-    innovations_refused.RULE,
-    estimator_reset.RULE,
-    failsafe.RULE,
-)
+RULES: Final[tuple[Rule, ...]] = tuple(
+    finding.RULE for finding in (
+        commands_from_outside, landing_detected_in_air, motors_stopped_in_air, motor_command_stopped, battery_low,
+        log_ends_in_flight, esc_stopped, motor_at_limit, actuator_effect, descent_not_followed, turned_over,
+        attitude_not_followed, gps_lost, gps_stuck, sensor_effect, vibration, innovations_refused, estimator_reset,
+        failsafe,
+    )
+)  # fmt: skip

@@ -11,21 +11,18 @@ from adapters.mavlink.flight_modes import ARDUPILOT, mode_name
 from monitor.alarms.command_watch import CommandSent
 from replay.review.facts.log_facts import (
     ANGLES,
+    NO_SIGNAL,
     UNKNOWN_LEVEL,
     LogFacts,
     LogRecords,
     LogSignal,
     Statement,
-    above_begin,
-    changes,
-    each_sample,
+    first_known,
     inside,
-    log_facts,
     off_ground,
     overlap,
     state_spans,
     state_statements,
-    way,
 )
 
 TOPICS = frozenset(
@@ -61,10 +58,11 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     """Return what a log of ArduPilot states."""
     get = records.signal
     end_s = records.duration_s + 1e-3
-    events = records.signal("EV", ["Id"], ["event"], "")
-    event = [] if events is None else list(zip(events.time_s.tolist(), events.only.astype(int).tolist(), strict=True))
-    arms = records.signal("ARM", ["ArmState"], ["armed"], "")
-    arming = changes(arms) or [(at, float(kind == _ARMED)) for at, kind in event if kind in (_ARMED, _DISARMED)]
+    events = get("EV", ["Id"], ["event"], "")
+    event = list(zip(events.time_s.tolist(), events.only.astype(int).tolist(), strict=True))
+    arming = get("ARM", ["ArmState"], ["armed"], "").changes() or [
+        (at, float(kind == _ARMED)) for at, kind in event if kind in (_ARMED, _DISARMED)
+    ]
     if not arming or not arming[0][1]:
         # a log that begins at arming
         arming = [(0.0, 1.0), *arming]
@@ -75,75 +73,71 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
         landing = [(0.0, 0.0), *landing]
     texts = [(at, str(row.get("Message", ""))) for at, row in records.listed("MSG")]
     vehicle, kind = next((known for _, text in texts for word, known in _VEHICLES.items() if word in text), ("", 0))
-    signals: dict[str, LogSignal | None] = {}
+    signals: dict[str, LogSignal] = {}
     lacks: dict[str, str] = {}
-    signals["motors"] = _motors(records, armed) if vehicle in ("", "multirotor") else None
+    signals["motors"] = _motors(records, armed) if vehicle in ("", "multirotor") else NO_SIGNAL
     signals["rpm"] = _rpm(records)
     signals["attitude"] = get("ATT", ["Roll", "Pitch", "Yaw"], ANGLES, "deg")
     signals["attitude_wanted"] = get("ATT", ["DesRoll", "DesPitch", "DesYaw"], ANGLES, "deg")
-    signals["height"] = above_begin(get("BARO", ["Alt"], ["barometer"], "m"))
+    signals["height"] = get("BARO", ["Alt"], ["barometer"], "m").above_begin()
     kalman = "XKF" if ("XKF4", 0) in set(records.names()) else "NKF"
-    signals["height_estimate"] = above_begin(get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0))
+    signals["height_estimate"] = get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0).above_begin()
     # planes do not log when they take off
-    received = above_begin(get("GPS", ["Alt"], ["receiver"], "m"))
+    received = get("GPS", ["Alt"], ["receiver"], "m").above_begin()
     lifted = off_ground(signals["height"], received)
     air = state_spans(landing, end_s, state=False) if landing else lifted
     flight = overlap(air, armed)
     signals["climb"] = get(f"{kalman}1", ["VD"], ["climb"], "m/s", -1.0)
     signals["climb_wanted"] = get("PSCD", ["TVD"], ["wanted"], "m/s", -1.0)
     signals["acceleration"] = get("IMU", ["AccX", "AccY", "AccZ"], ["x", "y", "z"], "m/s2")
-    battery = records.first(
-        get("BAT", ["Volt", "Curr"], ["voltage", "current"], "V, A"),
-        get("CURR", ["Volt", "Curr"], ["voltage", "current"], "V, A"),
-    )
-    if battery is not None and not (np.nanmax(battery.values[:, 0]) > 1.0):
+    battery = first_known(*(get(name, ["Volt", "Curr"], ["voltage", "current"], "V, A") for name in ("BAT", "CURR")))
+    if battery and not (np.nanmax(battery.only) > 1.0):
         lacks["battery"] = "its voltage is below 1 V from begin to end: no sensor is connected"
-        battery = None
-    signals["battery"] = battery
-    gps = get("GPS", ["Status", "NSats"], ["fix", "satellites"], "")
+    else:
+        signals["battery"] = battery
     used = get("GPS", ["U"], ["used"], "")
-    if used is not None and not used.only[inside(used.time_s, flight)].any():
+    if used and not used.only[inside(used.time_s, flight)].any():
         lacks["gps"] = "the log says that its receiver was not used"
-        gps = None
-    signals["gps"] = gps
-    signals["position"] = way(get("GPS", ["Lat", "Lng", "Status"], ["north", "east", "fix"], ""))
+    else:
+        signals["gps"] = get("GPS", ["Status", "NSats"], ["fix", "satellites"], "")
+    signals["position"] = get("GPS", ["Lat", "Lng", "Status"], ["north", "east", "fix"], "").way()
     signals["ratios"] = get(f"{kalman}4", ["SV", "SP", "SH"], ["velocity", "position", "height"], "")
     vibration = get("VIBE", ["VibeX", "VibeY", "VibeZ"], ["x", "y", "z"], "m/s2")
-    signals["vibration"] = each_sample(vibration, "vibration", np.max)
+    signals["vibration"] = vibration.each_sample("vibration", np.max)
     signals["clipping"] = get("VIBE", ["Clip"], ["clipped"], "samples")
-    statements = [*_statements(records, texts, kind), *state_statements(arming, landing)]
-    commands = _commands(records)
-    return log_facts(records, "ArduPilot", vehicle, armed, flight, signals, statements, commands, lacks)
+    return LogFacts(
+        "ArduPilot", vehicle, records.first_ns, records.duration_s, tuple(armed), tuple(flight), signals,
+        (*_statements(records, texts, kind), *state_statements(arming, landing)), tuple(_commands(records)),
+        records.parameters, lacks,
+    )  # fmt: skip
 
 
-def _motors(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSignal | None:
+def _motors(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSignal:
     """Return the commands of the outputs that the parameters say are motors, else of the first that move together."""
     outputs = [k for k in range(1, _OUTPUTS + 1) if records.parameters.get(f"SERVO{k}_FUNCTION") in _MOTOR_FUNCTIONS]
     low = records.parameters.get("MOT_PWM_MIN", 0.0) or _PWM_FROM
     high = records.parameters.get("MOT_PWM_MAX", 0.0) or _PWM_TO
     commands = _outputs(records, outputs or range(1, 5))
-    if commands is None:
-        return None
     if not outputs:
         during = commands.values[inside(commands.time_s, armed)]
         if not len(during) or not np.ptp(during, axis=0).all():
-            return None
+            return NO_SIGNAL
     return replace(commands, values=np.maximum(commands.values - low, 0.0) / (high - low))
 
 
-def _outputs(records: LogRecords, numbers: Sequence[int]) -> LogSignal | None:
+def _outputs(records: LogRecords, numbers: Sequence[int]) -> LogSignal:
     """Return some outputs, whatever the version of the autopilot calls them."""
     names = [f"motor{k}" for k in numbers]
     known = (records.signal("RCOU", [f"{word}{k}" for k in numbers], names, "of full") for word in _OUTPUT_WORDS)
-    return next((commands for commands in known if commands is not None), None)
+    return first_known(*known)
 
 
-def _rpm(records: LogRecords) -> LogSignal | None:
+def _rpm(records: LogRecords) -> LogSignal:
     """Return the speeds of the ESCs on the times of the first of them."""
     speeds = [records.signal(name, ["RPM"], ["rpm"], "rpm") for name in ("ESC", *(f"ESC/{k}" for k in range(1, 12)))]
-    known = [(k, speed) for k, speed in enumerate(speeds) if speed is not None and (speed.only > 0).any()]
+    known = [(k, speed) for k, speed in enumerate(speeds) if (speed.only > 0).any()]
     if not known:
-        return None
+        return NO_SIGNAL
     times = known[0][1].time_s
     values = np.concatenate([speed.at(times) for _, speed in known], axis=1)
     return LogSignal(times, values, tuple(f"motor{k + 1}" for k, _ in known), "rpm", "ESC")
@@ -152,15 +146,12 @@ def _rpm(records: LogRecords) -> LogSignal | None:
 def _statements(records: LogRecords, texts: Sequence[tuple[float, str]], kind: int) -> Iterator[Statement]:
     for at, text in texts:
         yield Statement(at, "text", text, UNKNOWN_LEVEL)
-    for at, value in changes(records.signal("MODE", ["ModeNum"], ["mode"], "")):
+    for at, value in records.signal("MODE", ["ModeNum"], ["mode"], "").changes():
         yield Statement(at, "mode", f"mode {mode_name(ARDUPILOT, kind, 0, int(value)) or int(value)}")
     errors = records.signal("ERR", ["Subsys", "ECode"], ["subsystem", "code"], "")
-    if errors is not None:
-        for at, (subsystem, code) in zip(errors.time_s.tolist(), errors.values.astype(int).tolist(), strict=True):
-            if code and subsystem not in _NO_FAILSAFE:
-                yield Statement(
-                    at, "failsafe", f"{_SUBSYSTEMS.get(subsystem, f'subsystem {subsystem}')} (code {code})", 1
-                )
+    for at, (subsystem, code) in zip(errors.time_s.tolist(), errors.values.astype(int).tolist(), strict=True):
+        if code and subsystem not in _NO_FAILSAFE:
+            yield Statement(at, "failsafe", f"{_SUBSYSTEMS.get(subsystem, f'subsystem {subsystem}')} (code {code})", 1)
 
 
 def _commands(records: LogRecords) -> Iterator[CommandSent]:

@@ -24,27 +24,17 @@ ANGLES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogSignal:
-    """Quantities over time.
+    """Quantities over time; false where there are no values."""
 
-    Parameters
-    ----------
-    time_s : NDArray[np.float64]
-        Seconds since the log's begin, ascending (n,).
-    values : NDArray[np.float64]
-        One column for each name (n, k); NaN where nothing is known.
-    names : tuple[str, ...]
-        What the columns are.
-    unit : str
-        Their unit.
-    origin : str
-        The record they come from, as the log calls it.
-    """
-
-    time_s: Floats
-    values: Floats
-    names: tuple[str, ...]
+    time_s: Floats  # seconds since the log's begin, ascending (n,)
+    values: Floats  # a column for each name (n, k); NaN where nothing is known
+    names: tuple[str, ...]  # what the columns are
     unit: str
-    origin: str
+    origin: str  # the record they come from, as the log calls it
+
+    def __bool__(self) -> bool:
+        """Return whether there are values."""
+        return len(self.time_s) > 0
 
     def during(self, start_s: float, end_s: float) -> LogSignal:
         """Return the part from a time on and before another."""
@@ -67,7 +57,43 @@ class LogSignal:
         """The first column (n,)."""
         return np.asarray(self.values[:, 0], np.float64)
 
+    def changes(self, of: Callable[[Floats], NDArray[Any]] = np.asarray) -> list[tuple[float, float]]:
+        """Return when what a function says of the first column changed and to what, its first value among them."""
+        values = of(self.only)
+        new = np.concatenate([[True], values[1:] != values[:-1]])[: len(values)]
+        return [(float(self.time_s[row]), float(values[row])) for row in np.flatnonzero(new)]
 
+    def each_sample(self, name: str, of: Callable[..., Floats]) -> LogSignal:
+        """Return one column of several: of each sample what ``of`` (``np.max``, ``np.sum``) says."""
+        return replace(self, values=of(self.values, axis=1, keepdims=True), names=(name,))
+
+    def above_begin(self) -> LogSignal:
+        """Return a height above its median over the first seconds."""
+        begin = self.values[self.time_s < self.time_s[:1] + _BEGIN_S]
+        return replace(self, values=self.values - np.nanmedian(begin, axis=0)) if self else self
+
+    def angles_deg(self) -> LogSignal:
+        """Return roll, pitch and yaw of quaternions (w, x, y, z), degrees."""
+        w, x, y, z = self.values.T
+        roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+        pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return replace(self, values=np.degrees(np.stack([roll, pitch, yaw], axis=1)), names=ANGLES, unit="deg")
+
+    def way(self) -> LogSignal:
+        """Return the way north and east (m) of latitude, longitude (degrees or 1e-7 of one), kind of fix."""
+        degrees = self.values[:, :2]
+        degrees = degrees * np.where(np.nanmax(np.abs(degrees), initial=0.0) > _MOST_DEGREES, 1e-7, 1.0)
+        known = np.isfinite(degrees).all(axis=1) & (self.values[:, 2] >= FIX_3D)
+        degrees = degrees[known]
+        off = degrees - degrees[:1]
+        # across the date line the short way
+        off[:, 1] = (off[:, 1] + 180.0) % 360.0 - 180.0
+        metres = _DEGREE_M * off * [1.0, np.cos(np.radians(degrees[0, 0])) if known.any() else 1.0]
+        return replace(self, time_s=self.time_s[known], values=metres, names=("north", "east"), unit="m")
+
+
+NO_SIGNAL = LogSignal(np.empty(0), np.empty((0, 1)), ("",), "", "")
 UNKNOWN_LEVEL = 8
 """Of a text in a log that does not say how severe it is; MAVLink's severities end with 7."""
 
@@ -111,44 +137,22 @@ class LearnedWatch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogFacts:
-    """What findings judge by.
+    """What findings judge by."""
 
-    Parameters
-    ----------
-    autopilot, vehicle : str
-        ``PX4`` or ``ArduPilot``, ``multirotor`` or another word; empty where the log does not say.
-    start_ns : int
-        Unix time of the log's begin as it says it.
-    duration_s : float
-        From its first to its last record.
-    armed, flight : tuple[tuple[float, float], ...]
-        When the vehicle was armed, and when it was off the ground as far as the log's own landing detector goes.
-    signals : Mapping[str, LogSignal]
-        By the names of :data:`SIGNALS`; those that the log has.
-    statements : tuple[Statement, ...]
-        In order.
-    commands : tuple[CommandSent, ...]
-        In order.
-    parameters : Mapping[str, float]
-        Of the autopilot, as the log began.
-    lacks : Mapping[str, str]
-        Why a signal is not there or says nothing, by its name.
-    watch : LearnedWatch | None
-        What a profile learned from the flight's own begin says of the rest.
-    """
-
+    # PX4 or ArduPilot, multirotor or another word; empty where the log does not say
     autopilot: str
     vehicle: str
-    start_ns: int
-    duration_s: float
+    start_ns: int  # Unix time of the log's begin as it says it
+    duration_s: float  # from its first to its last record
+    # when the vehicle was armed, and when it was off the ground as far as the log's own landing detector goes
     armed: tuple[tuple[float, float], ...]
     flight: tuple[tuple[float, float], ...]
-    signals: Mapping[str, LogSignal]
-    statements: tuple[Statement, ...] = ()
-    commands: tuple[CommandSent, ...] = ()
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    lacks: Mapping[str, str] = field(default_factory=dict)
-    watch: LearnedWatch | None = None
+    signals: Mapping[str, LogSignal]  # those that the log has, by the names of SIGNALS
+    statements: tuple[Statement, ...] = ()  # in order
+    commands: tuple[CommandSent, ...] = ()  # in order
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of the autopilot, as the log began
+    lacks: Mapping[str, str] = field(default_factory=dict)  # why a signal is not there or says nothing, by its name
+    watch: LearnedWatch | None = None  # what a profile learned from the flight's own begin says of the rest
 
     @property
     def flies(self) -> bool:
@@ -187,6 +191,11 @@ SIGNALS: Mapping[str, str] = {
 """The quantities that findings know, and what they are."""
 
 
+def first_known(*signals: LogSignal) -> LogSignal:
+    """Return the first signal with values, the last where none has."""
+    return next(filter(None, signals), signals[-1])
+
+
 def inside(time_s: Floats, spans: Iterable[tuple[float, float]]) -> NDArray[np.bool_]:
     """Return which of n times are in one of some spans (n,)."""
     within = np.zeros(len(time_s), np.bool_)
@@ -205,13 +214,13 @@ def spans_where(time_s: Floats, holds: NDArray[np.bool_], least_s: float = 0.0) 
     return [(start, end) for start, end in spans if end - start >= least_s]
 
 
-def off_ground(height: LogSignal | None, receiver: LogSignal | None = None) -> list[tuple[float, float]]:
+def off_ground(height: LogSignal, receiver: LogSignal | None = None) -> list[tuple[float, float]]:
     """Return when a vehicle flew whose log does not say it, by its height above where the log begins.
 
     That of its ``receiver`` counts where there is no other.
     """
-    known, lifted = (height, _LIFTED) if height is not None else (receiver, _LIFTED_BY_GPS)
-    return [] if known is None else spans_where(known.time_s, known.only > lifted, 2.0)
+    known, lifted = (receiver, _LIFTED_BY_GPS) if receiver and not height else (height, _LIFTED)
+    return spans_where(known.time_s, known.only > lifted, 2.0)
 
 
 def flown(facts: LogFacts) -> list[tuple[float, float]]:
@@ -250,50 +259,33 @@ def degrees_apart(first: Floats, second: Floats) -> Floats:
 
 
 class LogRecords:
-    """The records of a log by name, as columns, on the time since its begin.
-
-    Parameters
-    ----------
-    batches : Iterable[Batch]
-        The log.
-    sender : tuple[int, int] | None
-        MAVLink ids whose messages count; None: all.
-    """
+    """The records of a log by name, as columns, on the time since its begin."""
 
     def __init__(self, batches: Iterable[Batch]) -> None:
         self._columns: dict[tuple[str, int], list[tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]]] = {}
         self.rows: dict[tuple[str, int], list[tuple[int, int, Mapping[str, Any]]]] = {}
         self.parameters: dict[str, float] = {}
-        first, last = None, 0
+        times: list[int] = []
         for batch in batches:
             for group in batch.columns:
-                if len(group.position):
-                    self._columns.setdefault((group.name, group.system), []).append((group.received_ns, group.fields))
-                    first = int(group.received_ns[0]) if first is None else min(first, int(group.received_ns[0]))
-                    last = max(last, int(group.received_ns[-1]))
-                    if group.name not in PARAMETER_MESSAGES:
-                        self._keep_few(group.name, group.system, group.component, group.received_ns, group.fields)
+                if not len(group.position):
+                    continue
+                self._columns.setdefault((group.name, group.system), []).append((group.received_ns, group.fields))
+                times += int(group.received_ns[0]), int(group.received_ns[-1])
+                if group.name in ROWS:
+                    self.rows.setdefault((group.name, group.system), []).extend(
+                        (int(at), group.component, {key: column[row].tolist() for key, column in group.fields.items()})
+                        for row, at in enumerate(group.received_ns)
+                    )
             for message in batch.others.values():
                 if message.name in PARAMETER_MESSAGES and (known := parameter(message)) is not None:
                     self.parameters.setdefault(*known)
                     continue
                 entry = message.received_ns, message.component, message.fields
                 self.rows.setdefault((message.name, message.system), []).append(entry)
-                first = message.received_ns if first is None else min(first, message.received_ns)
-                last = max(last, message.received_ns)
-        self.first_ns = first or 0
-        self.duration_s = (last - self.first_ns) / 1e9 if first is not None else 0.0
-
-    def _keep_few(
-        self, name: str, system: int, component: int, times_ns: NDArray[np.int64], fields: Mapping[str, NDArray[Any]]
-    ) -> None:
-        """Keep commands, which are few and are looked at one by one, as rows."""
-        if name in ROWS:
-            rows = [
-                (int(at), component, {key: column[row].tolist() for key, column in fields.items()})
-                for row, at in enumerate(times_ns)
-            ]
-            self.rows.setdefault((name, system), []).extend(rows)
+                times.append(message.received_ns)
+        self.first_ns = min(times, default=0)
+        self.duration_s = (max(times, default=0) - self.first_ns) / 1e9
 
     def time_s(self, time_ns: int) -> float:
         """Return a time of arrival as seconds since the log's begin."""
@@ -305,8 +297,8 @@ class LogRecords:
 
     def signal(
         self, name: str, columns: Sequence[str], names: Sequence[str], unit: str, scale: float = 1.0, system: int = 0
-    ) -> LogSignal | None:
-        """Return fields of a record as a signal; None where the log has no such record or field.
+    ) -> LogSignal:
+        """Return fields of a record as a signal, without values where the log has no such record or field.
 
         ``columns`` are names of fields, with ``[k]`` behind for an element of a list.
         """
@@ -316,21 +308,15 @@ class LogRecords:
             values = [_column(fields, place) for place in columns]
             if all(value is not None for value in values):
                 taken.append((times_ns, np.stack([column for column in values if column is not None], axis=1)))
-        if not taken:
-            return None
-        times = np.concatenate([times_ns for times_ns, _ in taken])
+        times = np.concatenate([np.empty(0, np.int64), *(times_ns for times_ns, _ in taken)])
         order = np.argsort(times, kind="stable")
-        values_of = np.concatenate([rows for _, rows in taken])[order] * scale
+        values_of = np.concatenate([np.empty((0, len(names))), *(rows for _, rows in taken)])[order] * scale
         return LogSignal((times[order] - self.first_ns) / 1e9, values_of, tuple(names), unit, name)
 
     def listed(self, name: str, system: int = 0) -> list[tuple[float, Mapping[str, Any]]]:
         """Return a record's fields one by one, with the time of each, in order."""
         rows = sorted(((at, row) for at, _, row in self.rows.get((name, system), [])), key=lambda entry: entry[0])
         return [(self.time_s(at), row) for at, row in rows]
-
-    def first(self, *signals: LogSignal | None) -> LogSignal | None:
-        """Return the first signal that the log has."""
-        return next((signal for signal in signals if signal is not None and len(signal.time_s)), None)
 
 
 ROWS = COMMANDS | {"vehicle_command", "MAVC"}
@@ -350,33 +336,6 @@ def _column(fields: Mapping[str, NDArray[Any]], place: str) -> Floats | None:
     return None if values.ndim > 1 or values.dtype.kind not in "iufb" else values.astype(np.float64)
 
 
-def log_facts(
-    records: LogRecords,
-    autopilot: str,
-    vehicle: str,
-    armed: Sequence[tuple[float, float]],
-    flight: Sequence[tuple[float, float]],
-    signals: Mapping[str, LogSignal | None],
-    statements: Iterable[Statement],
-    commands: Iterable[CommandSent],
-    lacks: Mapping[str, str],
-) -> LogFacts:
-    """Return what a log states: signals that hold something, statements and commands in order."""
-    return LogFacts(
-        autopilot,
-        vehicle,
-        records.first_ns,
-        records.duration_s,
-        tuple(armed),
-        tuple(flight),
-        {name: signal for name, signal in signals.items() if signal is not None and len(signal.time_s)},
-        tuple(sorted(statements, key=lambda statement: statement.time_s)),
-        tuple(sorted(commands, key=lambda command: command.time_s)),
-        records.parameters,
-        lacks,
-    )
-
-
 def state_statements(arming: Changes, landing: Changes) -> Iterator[Statement]:
     """Yield what a log states of arming and landing, of when either changed."""
     for kind, entries, words in (
@@ -385,15 +344,6 @@ def state_statements(arming: Changes, landing: Changes) -> Iterator[Statement]:
     ):
         for at, value in entries:
             yield Statement(at, kind, words[bool(value)], int(value))
-
-
-def changes(signal: LogSignal | None, of: Callable[[Floats], NDArray[Any]] = np.asarray) -> list[tuple[float, float]]:
-    """Return when what a function says of the first column changed and to what, its first value among them."""
-    if signal is None:
-        return []
-    values = of(signal.only)
-    new = np.concatenate([[True], values[1:] != values[:-1]])[: len(values)]
-    return [(float(signal.time_s[row]), float(values[row])) for row in np.flatnonzero(new)]
 
 
 def state_spans(edges: Changes, end_s: float, state: bool = True) -> list[tuple[float, float]]:
@@ -412,48 +362,6 @@ def overlap(first: Iterable[tuple[float, float]], second: Sequence[tuple[float, 
     """Return where spans of both kinds are at once."""
     parts = ((max(a, c), min(b, d)) for a, b in first for c, d in second)
     return [(start, end) for start, end in parts if start < end]
-
-
-def angles_deg(quaternion: LogSignal | None) -> LogSignal | None:
-    """Return roll, pitch and yaw of quaternions (w, x, y, z), degrees."""
-    if quaternion is None:
-        return None
-    w, x, y, z = quaternion.values.T
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    angles = np.degrees(np.stack([roll, pitch, yaw], axis=1))
-    return replace(quaternion, values=angles, names=ANGLES, unit="deg")
-
-
-def each_sample(signal: LogSignal | None, name: str, of: Callable[..., Floats]) -> LogSignal | None:
-    """Return one column of several: of each sample what ``of`` (``np.max``, ``np.sum``) says."""
-    return None if signal is None else replace(signal, values=of(signal.values, axis=1, keepdims=True), names=(name,))
-
-
-def above_begin(signal: LogSignal | None) -> LogSignal | None:
-    """Return a height above its median over the first seconds."""
-    if signal is None or not len(signal.time_s):
-        return None
-    begin = signal.values[signal.time_s < signal.time_s[0] + _BEGIN_S]
-    return replace(signal, values=signal.values - np.nanmedian(begin, axis=0))
-
-
-def way(place: LogSignal | None) -> LogSignal | None:
-    """Return the way north and east (m) of latitude, longitude (degrees or 1e-7 of one), kind of fix."""
-    if place is None:
-        return None
-    degrees = place.values[:, :2]
-    degrees = degrees * np.where(np.nanmax(np.abs(degrees), initial=0.0) > _MOST_DEGREES, 1e-7, 1.0)
-    known = np.isfinite(degrees).all(axis=1) & (place.values[:, 2] >= FIX_3D)
-    if not known.any():
-        return None
-    degrees = degrees[known]
-    off = degrees - degrees[0]
-    # across the date line the short way
-    off[:, 1] = (off[:, 1] + 180.0) % 360.0 - 180.0
-    metres = _DEGREE_M * off * [1.0, np.cos(np.radians(degrees[0, 0]))]
-    return replace(place, time_s=place.time_s[known], values=metres, names=("north", "east"), unit="m")
 
 
 _FEWEST_ROTORS = 3

@@ -15,16 +15,11 @@ from replay.review.facts.log_facts import (
     LogRecords,
     LogSignal,
     Statement,
-    above_begin,
-    angles_deg,
-    changes,
-    each_sample,
-    log_facts,
+    first_known,
     off_ground,
     overlap,
     state_spans,
     state_statements,
-    way,
 )
 
 TOPICS = frozenset(
@@ -52,64 +47,61 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
     """Return what a recording of telemetry states of its first autopilot."""
     system, kind, autopilot = _vehicle(records)
 
-    def get(name: str, columns: Sequence[str], names: Sequence[str], unit: str, scale: float = 1.0) -> LogSignal | None:
+    def get(name: str, columns: Sequence[str], names: Sequence[str], unit: str, scale: float = 1.0) -> LogSignal:
         return records.signal(name, columns, names, unit, scale, system)
 
     end_s = records.duration_s + 1e-3
     modes = get("HEARTBEAT", ["base_mode", "custom_mode", "autopilot"], ["base", "custom", "autopilot"], "")
-    if modes is not None:
-        own = modes.values[:, 2] != _NO_AUTOPILOT
-        modes = LogSignal(modes.time_s[own], modes.values[own], modes.names, "", "HEARTBEAT")
-    arming = changes(modes, lambda base: base.astype(int) & _ARMED > 0)
+    own = modes.values[:, 2] != _NO_AUTOPILOT
+    modes = replace(modes, time_s=modes.time_s[own], values=modes.values[own])
+    arming = modes.changes(lambda base: base.astype(int) & _ARMED > 0)
     armed = state_spans(arming, end_s)
-    signals: dict[str, LogSignal | None] = {}
+    signals: dict[str, LogSignal] = {}
     lacks: dict[str, str] = {}
     pressure = get("SCALED_PRESSURE", ["press_abs"], ["barometer"], "m", -_HECTOPASCAL_M)
-    signals["height"] = above_begin(pressure)
-    signals["height_estimate"] = above_begin(get("LOCAL_POSITION_NED", ["z"], ["estimate"], "m", -1.0))
+    signals["height"] = pressure.above_begin()
+    signals["height_estimate"] = get("LOCAL_POSITION_NED", ["z"], ["estimate"], "m", -1.0).above_begin()
     signals["climb"] = get("LOCAL_POSITION_NED", ["vz"], ["climb"], "m/s", -1.0)
     landed = get("EXTENDED_SYS_STATE", ["landed_state"], ["landed"], "")
     landing: list[tuple[float, float]] = []
-    if landed is not None and (landed.only > 0).any():
-        landing = changes(landed, lambda state: state == _ON_GROUND)
+    if (landed.only > 0).any():
+        landing = landed.changes(lambda state: state == _ON_GROUND)
         air = state_spans(landing, end_s, state=False)
     else:
-        air = off_ground(records.first(signals["height_estimate"], signals["height"]))
+        air = off_ground(first_known(signals["height_estimate"], signals["height"]))
     flight = overlap(air, armed)
     rotors = _ROTORS.get(kind, 0)
     if rotors:
         outputs = [f"servo{k}_raw" for k in range(1, rotors + 1)]
         motors = get("SERVO_OUTPUT_RAW", outputs, [f"motor{k}" for k in range(1, rotors + 1)], "of full")
-        if motors is not None:
-            signals["motors"] = replace(motors, values=np.maximum(motors.values - _PWM_FROM, 0.0) / _PWM_SPAN)
+        signals["motors"] = replace(motors, values=np.maximum(motors.values - _PWM_FROM, 0.0) / _PWM_SPAN)
     signals["attitude"] = get("ATTITUDE", ANGLES, ANGLES, "deg", float(np.degrees(1.0)))
     turned = get("ATTITUDE_TARGET", [f"q[{k}]" for k in range(4)], [f"q{k}" for k in range(4)], "")
-    signals["attitude_wanted"] = angles_deg(turned)
+    signals["attitude_wanted"] = turned.angles_deg()
     battery = get("SYS_STATUS", ["voltage_battery", "current_battery"], ["voltage", "current"], "V, A")
-    if battery is not None:
-        volts = battery.values * [_MILLI, 10 * _MILLI]
-        known = (volts[:, 0] > 1.0) & (battery.values[:, 0] < np.iinfo(np.uint16).max)
-        battery = LogSignal(battery.time_s[known], volts[known], battery.names, "V, A", "SYS_STATUS")
-        if not known.any():
-            lacks["battery"] = "the vehicle sends no voltage"
-    signals["battery"] = battery
+    volts = battery.values * [_MILLI, 10 * _MILLI]
+    known = (volts[:, 0] > 1.0) & (battery.values[:, 0] < np.iinfo(np.uint16).max)
+    if battery and not known.any():
+        lacks["battery"] = "the vehicle sends no voltage"
+    signals["battery"] = replace(battery, time_s=battery.time_s[known], values=volts[known])
     signals["gps"] = get("GPS_RAW_INT", ["fix_type", "satellites_visible"], ["fix", "satellites"], "")
-    signals["position"] = way(get("GPS_RAW_INT", ["lat", "lon", "fix_type"], ["north", "east", "fix"], ""))
+    signals["position"] = get("GPS_RAW_INT", ["lat", "lon", "fix_type"], ["north", "east", "fix"], "").way()
     variances = ["velocity_variance", "pos_horiz_variance", "pos_vert_variance"]
     ratios = ["vel_ratio", "pos_horiz_ratio", "pos_vert_ratio"]
     names = ["velocity", "position", "height"]
-    signals["ratios"] = records.first(
+    signals["ratios"] = first_known(
         get("EKF_STATUS_REPORT", variances, names, ""), get("ESTIMATOR_STATUS", ratios, names, "")
     )
     vibration = get("VIBRATION", [f"vibration_{axis}" for axis in "xyz"], list("xyz"), "m/s2")
     if autopilot == ARDUPILOT:
-        signals["vibration"] = each_sample(vibration, "vibration", np.max)
+        signals["vibration"] = vibration.each_sample("vibration", np.max)
     signals["clipping"] = get("VIBRATION", ["clipping_0"], ["clipped"], "samples")
     vehicle = "multirotor" if rotors else _KINDS.get(kind, "")
-    statements = [*_statements(records, system, kind, autopilot, modes), *state_statements(arming, landing)]
-    commands = _commands(records, system)
-    name = _AUTOPILOTS.get(autopilot, "")
-    return log_facts(records, name, vehicle, armed, flight, signals, statements, commands, lacks)
+    return LogFacts(
+        _AUTOPILOTS.get(autopilot, ""), vehicle, records.first_ns, records.duration_s, tuple(armed), tuple(flight),
+        signals, (*_statements(records, system, kind, autopilot, modes), *state_statements(arming, landing)),
+        tuple(_commands(records, system)), records.parameters, lacks,
+    )  # fmt: skip
 
 
 def _vehicle(records: LogRecords) -> tuple[int, int, int]:
@@ -118,22 +110,17 @@ def _vehicle(records: LogRecords) -> tuple[int, int, int]:
         if name != "HEARTBEAT":
             continue
         beats = records.signal(name, ["type", "autopilot"], ["type", "autopilot"], "", system=system)
-        if beats is None:
-            continue
         own = beats.values[beats.values[:, 1] != _NO_AUTOPILOT]
         if len(own):
             return system, int(own[0, 0]), int(own[0, 1])
     return 0, 0, 0
 
 
-def _statements(
-    records: LogRecords, system: int, kind: int, autopilot: int, modes: LogSignal | None
-) -> Iterator[Statement]:
+def _statements(records: LogRecords, system: int, kind: int, autopilot: int, modes: LogSignal) -> Iterator[Statement]:
     for at, row in records.listed("STATUSTEXT", system):
         yield Statement(at, "text", str(row.get("text", "")), int(row.get("severity", 6)))
-    if modes is not None:
-        for at, value in changes(replace(modes, values=modes.values[:, 1:2])):
-            yield Statement(at, "mode", f"mode {mode_name(autopilot, kind, _ARMED, int(value)) or int(value)}")
+    for at, value in replace(modes, values=modes.values[:, 1:2]).changes():
+        yield Statement(at, "mode", f"mode {mode_name(autopilot, kind, _ARMED, int(value)) or int(value)}")
 
 
 def _commands(records: LogRecords, vehicle: int) -> Iterator[CommandSent]:

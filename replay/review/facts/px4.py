@@ -10,21 +10,17 @@ from numpy.typing import NDArray
 
 from monitor.alarms.command_watch import CommandSent
 from replay.review.facts.log_facts import (
+    NO_SIGNAL,
     Floats,
     LogFacts,
     LogRecords,
     LogSignal,
     Statement,
-    above_begin,
-    angles_deg,
-    changes,
-    each_sample,
+    first_known,
     inside,
-    log_facts,
     overlap,
     state_spans,
     state_statements,
-    way,
 )
 
 TOPICS = frozenset(
@@ -62,34 +58,27 @@ def px4_facts(records: LogRecords) -> LogFacts:
     """Return what a log of PX4 states."""
     get = records.signal
     end_s = records.duration_s + 1e-3
-    arming = changes(get("vehicle_status", ["arming_state"], ["armed"], ""), lambda state: state == _ARMED)
+    arming = get("vehicle_status", ["arming_state"], ["armed"], "").changes(lambda state: state == _ARMED)
     armed = state_spans(arming, end_s)
-    landing = changes(get("vehicle_land_detected", ["landed"], ["landed"], ""))
+    landing = get("vehicle_land_detected", ["landed"], ["landed"], "").changes()
     flight = overlap(state_spans(landing, end_s, state=False), armed)
-    signals: dict[str, LogSignal | None] = {}
+    signals: dict[str, LogSignal] = {}
     lacks: dict[str, str] = {}
     signals["motors"] = _motors(records, armed, lacks)
     signals["rpm"] = _rpm(records, armed)
     quaternion = [f"q[{k}]" for k in range(4)]
-    signals["attitude"] = angles_deg(get("vehicle_attitude", quaternion, quaternion, ""))
+    signals["attitude"] = get("vehicle_attitude", quaternion, quaternion, "").angles_deg()
     wanted = get("vehicle_attitude_setpoint", [f"q_d[{k}]" for k in range(4)], quaternion, "")
-    signals["attitude_wanted"] = angles_deg(wanted)
-    signals["height"] = above_begin(
-        records.first(
-            get("vehicle_air_data", ["baro_alt_meter"], ["barometer"], "m"),
-            get("sensor_combined", ["baro_alt_meter"], ["barometer"], "m"),
-        )
-    )
-    signals["height_estimate"] = above_begin(get("vehicle_local_position", ["z"], ["estimate"], "m", -1.0))
+    signals["attitude_wanted"] = wanted.angles_deg()
+    barometers = (get(name, ["baro_alt_meter"], ["barometer"], "m") for name in ("vehicle_air_data", "sensor_combined"))
+    signals["height"] = first_known(*barometers).above_begin()
+    signals["height_estimate"] = get("vehicle_local_position", ["z"], ["estimate"], "m", -1.0).above_begin()
     signals["climb"] = get("vehicle_local_position", ["vz"], ["climb"], "m/s", -1.0)
     signals["climb_wanted"] = get("vehicle_local_position_setpoint", ["vz"], ["wanted"], "m/s", -1.0)
     axes = [f"accelerometer_m_s2[{k}]" for k in range(3)]
     signals["acceleration"] = get("sensor_combined", axes, ["x", "y", "z"], "m/s2")
     _battery(records, signals, lacks)
-    fused = records.first(
-        get("estimator_status_flags", ["cs_gps"], ["gps"], ""),
-        get("estimator_status_flags", ["cs_gnss_pos"], ["gps"], ""),
-    )
+    fused = first_known(*(get("estimator_status_flags", [name], ["gps"], "") for name in ("cs_gps", "cs_gnss_pos")))
     _gps(records, fused, signals, lacks, flight)
     ratios = ["vel_test_ratio", "pos_test_ratio", "hgt_test_ratio"]
     signals["ratios"] = get("estimator_status", ratios, ["velocity", "position", "height"], "")
@@ -97,24 +86,26 @@ def px4_facts(records: LogRecords) -> LogFacts:
     signals["resets"] = get("vehicle_local_position", counters, ["position", "height", "velocity", "climb"], "")
     signals["vibration"] = get("vehicle_imu_status", ["accel_vibration_metric"], ["vibration"], "m/s2")
     clipping = get("vehicle_imu_status", [f"accel_clipping[{k}]" for k in range(3)], ["x", "y", "z"], "samples")
-    signals["clipping"] = each_sample(clipping, "clipped", np.sum)
+    signals["clipping"] = clipping.each_sample("clipped", np.sum)
     kinds = get("vehicle_status", ["vehicle_type"], ["type"], "")
     rotary = get("vehicle_status", ["is_rotary_wing"], ["type"], "")
     values = {_MULTIROTOR: "multirotor", _FIXED_WING: "plane", _ROVER: "rover"}
-    vehicle = values.get(int(np.median(kinds.only)), "") if kinds is not None else ""
-    if rotary is not None and np.median(rotary.only) == 1:
+    vehicle = values.get(int(np.median(kinds.only)), "") if kinds else ""
+    if rotary and np.median(rotary.only) == 1:
         vehicle = "multirotor"
-    statements = [*_statements(records), *state_statements(arming, landing)]
-    commands = _commands(records)
-    return log_facts(records, "PX4", vehicle, armed, flight, signals, statements, commands, lacks)
+    return LogFacts(
+        "PX4", vehicle, records.first_ns, records.duration_s, tuple(armed), tuple(flight), signals,
+        (*_statements(records), *state_statements(arming, landing)), tuple(_commands(records)),
+        records.parameters, lacks,
+    )  # fmt: skip
 
 
-def _motors(records: LogRecords, armed: Sequence[tuple[float, float]], lacks: dict[str, str]) -> LogSignal | None:
+def _motors(records: LogRecords, armed: Sequence[tuple[float, float]], lacks: dict[str, str]) -> LogSignal:
     """Return the commands of the outputs that move: a mixer's are logged whether anything is connected or not."""
     controls = [f"control[{k}]" for k in range(_MOST_ROTORS)]
     numbers = [f"motor{k + 1}" for k in range(_MOST_ROTORS)]
     commands = records.signal("actuator_motors", controls, numbers, "of full")
-    if commands is not None:
+    if commands:
         there: NDArray[np.bool_] = np.asarray(np.isfinite(commands.values).any(axis=0))
         # a motor that the autopilot stopped is NaN while the others are not
         values = np.where(np.isnan(commands.values[:, there]), 0.0, commands.values[:, there])
@@ -123,7 +114,7 @@ def _motors(records: LogRecords, armed: Sequence[tuple[float, float]], lacks: di
     moving: list[tuple[int, LogSignal]] = []
     for topic in ("actuator_outputs", "actuator_outputs/1", "actuator_outputs/2", "actuator_outputs/3"):
         outputs = records.signal(topic, [f"output[{k}]" for k in range(8)], numbers[:8], "of full")
-        if outputs is None:
+        if not outputs:
             continue
         during = outputs.values[inside(outputs.time_s, armed)]
         moves = np.ptp(during, axis=0) > 0 if len(during) else np.zeros(8, np.bool_)
@@ -131,7 +122,7 @@ def _motors(records: LogRecords, armed: Sequence[tuple[float, float]], lacks: di
             lacks[topic] = "its outputs never move while armed: nothing that flies is connected to it"
             continue
         moving.append((int(_varied(during).sum()), _scaled(outputs, _varied(during))))
-    return max(moving, key=lambda entry: entry[0])[1] if moving else None
+    return max(moving, key=lambda entry: entry[0])[1] if moving else NO_SIGNAL
 
 
 def _varied(values: Floats) -> NDArray[np.bool_]:
@@ -157,22 +148,22 @@ def _scaled(outputs: LogSignal, moves: NDArray[np.bool_]) -> LogSignal:
     return LogSignal(outputs.time_s, share, names, "of full", outputs.origin)
 
 
-def _rpm(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSignal | None:
+def _rpm(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSignal:
     rows = [(at, row) for at, row in records.listed("esc_status") if isinstance(row.get("esc"), list)]
     count = max((int(row.get("esc_count", 0)) for _, row in rows), default=0)
     if not count:
-        return None
+        return NO_SIGNAL
     times = np.array([at for at, _ in rows])
     values = np.array([[float(controller.get("esc_rpm", 0)) for controller in row["esc"][:count]] for _, row in rows])
     if not (values[inside(times, armed)] > 0).any():
-        return None
+        return NO_SIGNAL
     return LogSignal(times, values, tuple(f"motor{k + 1}" for k in range(count)), "rpm", "esc_status")
 
 
-def _battery(records: LogRecords, signals: dict[str, LogSignal | None], lacks: dict[str, str]) -> None:
+def _battery(records: LogRecords, signals: dict[str, LogSignal], lacks: dict[str, str]) -> None:
     battery = records.signal("battery_status", ["voltage_v", "current_a"], ["voltage", "current"], "V, A")
     connected = records.signal("battery_status", ["connected"], ["connected"], "")
-    if battery is not None and connected is not None and not connected.only.any():
+    if battery and connected and not connected.only.any():
         volts = float(np.nanmax(battery.values[:, 0]))
         lacks["battery"] = f"the log says that none is connected to its sensor (connected = 0, {volts:.2f} V at most)"
         return
@@ -181,46 +172,45 @@ def _battery(records: LogRecords, signals: dict[str, LogSignal | None], lacks: d
 
 def _gps(
     records: LogRecords,
-    fused: LogSignal | None,
-    signals: dict[str, LogSignal | None],
+    fused: LogSignal,
+    signals: dict[str, LogSignal],
     lacks: dict[str, str],
     flight: Sequence[tuple[float, float]],
 ) -> None:
     gps = records.signal("vehicle_gps_position", ["fix_type", "satellites_used"], ["fix", "satellites"], "")
-    if fused is None:
+    if not fused:
         flags = records.signal("estimator_status", ["control_mode_flags"], ["flags"], "")
-        if flags is not None:
-            bit = (flags.only.astype(np.int64) >> _GPS_BIT) & 1
-            fused = replace(flags, values=bit[:, None].astype(np.float64))
-    if fused is not None and not fused.only[inside(fused.time_s, flight)].any():
+        bit = (flags.only.astype(np.int64) >> _GPS_BIT) & 1
+        fused = replace(flags, values=bit[:, None].astype(np.float64))
+    if fused and not fused.only[inside(fused.time_s, flight)].any():
         lacks["gps"] = "the estimator did not use GPS in flight; what its receiver said has moved nothing"
         return
     signals["gps"] = gps
     places = (["latitude_deg", "longitude_deg", "fix_type"], ["lat", "lon", "fix_type"])
     names = ["north", "east", "fix"]
     found = (records.signal("vehicle_gps_position", columns, names, "") for columns in places)
-    signals["position"] = way(records.first(*found))
+    signals["position"] = first_known(*found).way()
 
 
 def _statements(records: LogRecords) -> Iterator[Statement]:
     for at, row in records.listed("log/text"):
         yield Statement(at, "text", str(row.get("text", "")).strip(), int(row.get("level", 6)))
-    for at, value in changes(records.signal("vehicle_status", ["nav_state"], ["mode"], "")):
+    for at, value in records.signal("vehicle_status", ["nav_state"], ["mode"], "").changes():
         yield Statement(at, "mode", f"mode {_MODES.get(int(value), int(value))}")
-    for at, value in changes(records.signal("vehicle_status", ["failsafe"], ["failsafe"], "")):
+    for at, value in records.signal("vehicle_status", ["failsafe"], ["failsafe"], "").changes():
         if value:
             yield Statement(at, "failsafe", "failsafe active", 1)
-    for at, value in changes(records.signal("vehicle_status", ["failure_detector_status"], ["bits"], "")):
+    for at, value in records.signal("vehicle_status", ["failure_detector_status"], ["bits"], "").changes():
         if value:
             bits = [name for bit, name in enumerate(_FAILURES) if int(value) >> bit & 1]
             yield Statement(at, "failsafe", f"failure detector: {', '.join(bits)}", 1)
     for k in range(_MOST_ROTORS):
         control = records.signal("actuator_motors", [f"control[{k}]"], [""], "")
-        if control is not None and np.isfinite(control.only).any():
-            for at, value in changes(control, np.isnan)[1:]:
+        if np.isfinite(control.only).any():
+            for at, value in control.changes(np.isnan)[1:]:
                 yield Statement(at, "stopped", f"motor{k + 1}", int(value))
     for name, text in (("manual_lockdown", "kill switch"), ("kill", "kill switch"), ("force_failsafe", "termination")):
-        for at, value in changes(records.signal("actuator_armed", [name], [name], "")):
+        for at, value in records.signal("actuator_armed", [name], [name], "").changes():
             if value:
                 yield Statement(at, "kill", text, 1)
 

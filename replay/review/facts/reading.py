@@ -29,5 +29,11 @@ def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
     records = LogRecords(recording.records())
     if not any(True for _ in records.names()):
         raise TelemetryError(f"{path}: holds nothing that says how a vehicle fared; give a log of a flight")
-    facts = translate(records)
+    said = translate(records)
+    facts = replace(
+        said,
+        signals={name: signal for name, signal in said.signals.items() if signal},
+        statements=tuple(sorted(said.statements, key=lambda statement: statement.time_s)),
+        commands=tuple(sorted(said.commands, key=lambda command: command.time_s)),
+    )
     return replace(facts, flight=tuple(flown(facts)) if facts.flies else facts.armed), recording.damage()

@@ -20,13 +20,12 @@ _APART_S = 0.5
 """Chosen: twice the time in which a multirotor rolls by its greatest angle."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    attitude, wanted = facts.signals["attitude"], facts.signals["attitude_wanted"]
+def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, motors: LogSignal) -> Iterator[Judgement]:
     times = attitude.time_s
     apart = _apart(attitude, wanted)
     end_s = lost_s(facts)
     # what came before the motors were stopped, and the tumbling itself; idle motors hold no attitude
-    most = facts.signals["motors"].at(times).max(axis=1)
+    most = motors.at(times).max(axis=1)
     judged = facts.in_flight(times) & (times < end_s + _APART_S)
     judged &= most > _IDLE * np.median(most[judged & np.isfinite(most)] if judged.any() else 0.0)
     far = (apart > _APART_DEG).any(axis=1) & judged

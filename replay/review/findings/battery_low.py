@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import in_control
+from replay.review.facts.log_facts import LogFacts, LogSignal
+from replay.review.findings.loss_of_control import in_control, spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _CELL_V = 3.3
@@ -20,18 +20,16 @@ _LEAST_S = 3.0
 _CELLS, _EMPTY = ("BAT1_N_CELLS", "BAT_N_CELLS"), ("BAT1_V_EMPTY", "BAT_V_EMPTY")
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    battery = facts.signals["battery"]
-    times, volts = battery.time_s, battery.values[:, 0]
-    judged = in_control(facts, times) & np.isfinite(volts)
-    if not judged.any():
+def _judge(facts: LogFacts, battery: LogSignal) -> Iterator[Judgement]:
+    volts = battery.only
+    if not (in_control(facts, battery.time_s) & np.isfinite(volts)).any():
         return
     said = next((facts.parameters[name] for name in _CELLS if facts.parameters.get(name, 0) > 0), 0.0)
     cells = int(said) or max(1, round(float(np.nanmax(volts)) / _FULL_CELL_V))
     source = "as its parameters say" if said else "from the highest voltage"
     # cells of lithium ion may be taken further down, which their owner then says
     limit = min([_CELL_V, *(facts.parameters[name] for name in _EMPTY if facts.parameters.get(name, 0.0) > 1.0)])
-    for start, end in spans_where(times, judged & (volts < limit * cells), _LEAST_S)[:1]:
+    for start, end in spans_in_control(facts, battery, volts < limit * cells, _LEAST_S)[:1]:
         least = float(battery.during(start, end).only.min())
         yield Judgement(
             start_s=start,

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import Floats, LogFacts, spans_where
+from replay.review.facts.log_facts import Floats, LogFacts, LogSignal, spans_where
 from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
@@ -20,8 +20,7 @@ _ROUGH_S = 2.0
 """Over which a barometer's reading is averaged for its slope: at 2 to 10 readings a second of 0.2 m."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    wanted, height, motors = (facts.signals[name] for name in ("climb_wanted", "height", "motors"))
+def _judge(facts: LogFacts, wanted: LogSignal, height: LogSignal, motors: LogSignal) -> Iterator[Judgement]:
     times = height.time_s[in_control(facts, height.time_s)]
     if len(times) < 2:
         return

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts, spans_where
+from replay.review.facts.log_facts import LogFacts, LogSignal, spans_where
 from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
@@ -19,8 +19,7 @@ _COMMANDED = 0.08
 """Share of full command from which a motor turns (see loss_of_control.STOPPED)."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    rpm, motors = facts.signals["rpm"], facts.signals["motors"]
+def _judge(facts: LogFacts, rpm: LogSignal, motors: LogSignal) -> Iterator[Judgement]:
     if len(rpm.names) != len(motors.names):
         return
     times = rpm.time_s

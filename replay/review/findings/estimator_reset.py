@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts
+from replay.review.facts.log_facts import LogFacts, LogSignal
 from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
@@ -15,8 +15,7 @@ _AFTER_S = 5.0
 the compass and the barometer (PX4 does so from 1.5 m on)."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    resets = facts.signals["resets"]
+def _judge(facts: LogFacts, resets: LogSignal) -> Iterator[Judgement]:
     judged = in_control(facts, resets.time_s) & (resets.time_s > facts.flight[0][0] + _AFTER_S)
     for k, name in enumerate(resets.names):
         late = resets.time_s[1:][(np.diff(resets.values[:, k]) > 0) & judged[1:]].tolist()

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from replay.review.facts.log_facts import FIX_3D, LogFacts, spans_where
-from replay.review.findings.loss_of_control import in_control
+from replay.review.facts.log_facts import FIX_3D, LogFacts, LogSignal
+from replay.review.findings.loss_of_control import in_control, spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _LEAST_S = 1.0
 """Chosen: five fixes of a receiver of usual rates."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    gps = facts.signals["gps"]
-    times = gps.time_s
-    judged = in_control(facts, times)
-    if not (gps.only[judged] >= FIX_3D).any():
+def _judge(facts: LogFacts, gps: LogSignal) -> Iterator[Judgement]:
+    if not (gps.only[in_control(facts, gps.time_s)] >= FIX_3D).any():
         return
-    for start, end in spans_where(times, judged & (gps.only < FIX_3D), _LEAST_S)[:1]:
+    for start, end in spans_in_control(facts, gps, gps.only < FIX_3D, _LEAST_S)[:1]:
         fewest = int(gps.during(start, end).values[:, 1].min())
         yield Judgement(
             start_s=start,

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import in_control
+from replay.review.facts.log_facts import LogFacts, LogSignal
+from replay.review.findings.loss_of_control import spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _LEAST_S = 2.0
@@ -18,15 +18,10 @@ simulated and public logs: of the positions repeated for 2 s in flight none but 
 is as far off afterwards."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    position = facts.signals["position"]
-    times = position.time_s
-    if len(times) < 2:
-        return
-    steps = np.hypot(*np.diff(position.values, axis=0).T)
-    repeated = np.append(steps == 0.0, False) & in_control(facts, times)
-    for start, end in spans_where(times, repeated, _LEAST_S):
-        jump = float(np.append(steps, 0.0)[np.searchsorted(times, end)])
+def _judge(facts: LogFacts, position: LogSignal) -> Iterator[Judgement]:
+    steps = np.append(np.hypot(*np.diff(position.values, axis=0).T), np.nan)
+    for start, end in spans_in_control(facts, position, steps == 0.0, _LEAST_S):
+        jump = float(steps[np.searchsorted(position.time_s, end)])
         if jump > _JUMP_M:
             yield Judgement(
                 start_s=start,

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import in_control
+from replay.review.facts.log_facts import LogFacts, LogSignal
+from replay.review.findings.loss_of_control import spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _REFUSED = 1.0
@@ -16,13 +16,9 @@ _LEAST_S = 1.0
 """ArduPilot's EKF check fails as long (10 times in a row at 10 Hz)."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    ratios = facts.signals["ratios"]
-    times = ratios.time_s
-    judged = in_control(facts, times)
+def _judge(facts: LogFacts, ratios: LogSignal) -> Iterator[Judgement]:
     for k, name in enumerate(ratios.names):
-        values = np.nan_to_num(ratios.values[:, k])
-        for start, end in spans_where(times, judged & (values > _REFUSED), _LEAST_S)[:1]:
+        for start, end in spans_in_control(facts, ratios, ratios.values[:, k] > _REFUSED, _LEAST_S)[:1]:
             most = float(np.nanmax(ratios.during(start, end).values[:, k]))
             yield Judgement(
                 start_s=start,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from replay.review.facts.log_facts import LogFacts
+from replay.review.facts.log_facts import LogFacts, LogSignal
 from replay.review.findings.loss_of_control import stops
 from replay.review.findings.rule import Judgement, Rule
 
@@ -13,7 +13,7 @@ _BEFORE_S = 2.0
 (COM_DISARM_LAND), ArduPilot after 0.5 to 10 s (DISARM_DELAY)."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
+def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Judgement]:
     landings = [statement for statement in facts.statements if statement.kind == "landing" and statement.level]
     for start, end, fell in stops(facts):
         said = [landing for landing in landings if -_BEFORE_S <= landing.time_s - start <= 0.5]
@@ -27,8 +27,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             f"{fell:.0f} m",
             evidence=(
                 f"landing detector: landed at {at:.2f} s",
-                f"{facts.signals['motors'].origin}: all motors at zero from {start:.2f} to {end:.2f} s",
-                f"{facts.signals['height'].origin}: {fell:.1f} m lower within 3 s of it",
+                f"{motors.origin}: all motors at zero from {start:.2f} to {end:.2f} s",
+                f"{height.origin}: {fell:.1f} m lower within 3 s of it",
             ),
             confidence="certain",
             weight="critical",

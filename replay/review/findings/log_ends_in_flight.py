@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from replay.review.facts.log_facts import LogFacts
+from replay.review.facts.log_facts import LogFacts, LogSignal
 from replay.review.findings.rule import Judgement, Rule
 
 _HIGH_M = 3.0
@@ -13,19 +13,11 @@ _AT_END_S = 1.5
 """Chosen: the slowest statements of state come once a second."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    height = facts.signals["height"]
+def _judge(facts: LogFacts, height: LogSignal) -> Iterator[Judgement]:
     late = facts.duration_s - _AT_END_S
-    if (
-        not facts.flies
-        or not facts.flight
-        or facts.flight[-1][1] < late
-        or not facts.armed
-        or facts.armed[-1][1] < late
-    ):
-        return
     last = height.only[height.time_s > late]
-    if not len(last) or last[-1] < _HIGH_M:
+    ends = [spans[-1][1] for spans in (facts.flight, facts.armed) if spans]
+    if not facts.flies or len(ends) < 2 or min(ends) < late or not len(last) or last[-1] < _HIGH_M:
         return
     battery = facts.signals.get("battery")
     volts = "" if battery is None else f"; the last voltage is {battery.values[-1, 0]:.1f} V"

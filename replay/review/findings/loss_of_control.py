@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from replay.review.facts.log_facts import Floats, LogFacts, inside, spans_where
+from replay.review.facts.log_facts import Floats, LogFacts, LogSignal, inside, spans_where
 
 STOPPED = 0.02
 """Share of full command below which a motor does not turn: under every autopilot's idle (PX4 idles from 0.05 on,
@@ -89,3 +89,10 @@ def lost_s(facts: LogFacts) -> float:
 def in_control(facts: LogFacts, time_s: Floats) -> NDArray[np.bool_]:
     """Return which of n times are in flight and before control was lost (n,)."""
     return facts.in_flight(time_s) & (time_s < lost_s(facts))
+
+
+def spans_in_control(
+    facts: LogFacts, signal: LogSignal, holds: NDArray[np.bool_], least_s: float
+) -> list[tuple[float, float]]:
+    """Return from when to when a condition on n samples of a signal held in flight, before control was lost."""
+    return spans_where(signal.time_s, holds & in_control(facts, signal.time_s), least_s)

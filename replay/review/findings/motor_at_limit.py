@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts, spans_where
-from replay.review.findings.loss_of_control import FULL, in_control
+from replay.review.facts.log_facts import LogFacts, LogSignal
+from replay.review.findings.loss_of_control import FULL, spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _APART = 0.25
@@ -16,17 +16,14 @@ _LEAST_S = 1.0
 """ArduPilot's thrust-loss check waits as long; a hard turn has motors at their most for less."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    motors = facts.signals["motors"]
+def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
     if len(motors.names) < 4:
         return
-    times, values = motors.time_s, motors.values
-    judged = in_control(facts, times)
     for k, name in enumerate(motors.names):
-        others = np.delete(values, k, axis=1)
-        alone = (values[:, k] > FULL) & (np.median(others, axis=1) < values[:, k] - _APART) & judged
-        for start, end in spans_where(times, alone, _LEAST_S)[:1]:
-            mean = float(np.median(others[(times >= start) & (times <= end)]))
+        others, own = np.delete(motors.values, k, axis=1), motors.values[:, k]
+        alone = (own > FULL) & (np.median(others, axis=1) < own - _APART)
+        for start, end in spans_in_control(facts, motors, alone, _LEAST_S)[:1]:
+            mean = float(np.median(others[(motors.time_s >= start) & (motors.time_s <= end)]))
             yield Judgement(
                 start_s=start,
                 end_s=end,

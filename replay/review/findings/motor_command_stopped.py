@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts, overlap, spans_where, state_spans
-from replay.review.findings.loss_of_control import STOPPED, in_control
+from replay.review.facts.log_facts import LogFacts, LogSignal, overlap, state_spans
+from replay.review.findings.loss_of_control import STOPPED, spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _LEAST_S = 1.5
@@ -17,15 +17,13 @@ _FLYING = 0.2
 at which a saturated mixer takes single motors to zero."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    motors = facts.signals["motors"]
-    times, values = motors.time_s, motors.values
-    judged = in_control(facts, times)
+def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
+    times = motors.time_s
     for k, name in enumerate(motors.names):
-        others = np.median(np.delete(values, k, axis=1), axis=1)
+        others = np.median(np.delete(motors.values, k, axis=1), axis=1)
         marks = [(said.time_s, said.level) for said in facts.statements if (said.kind, said.text) == ("stopped", name)]
         marked = overlap(state_spans(marks, facts.duration_s), facts.flight)
-        stopped = spans_where(times, (values[:, k] < STOPPED) & (others > _FLYING) & judged, _LEAST_S)
+        stopped = spans_in_control(facts, motors, (motors.values[:, k] < STOPPED) & (others > _FLYING), _LEAST_S)
         for start, end in sorted(stopped + marked)[:1]:
             mean = float(np.median(others[(times >= start) & (times <= end)]))
             said = ("the log marks the output as stopped, not as zero",) if marked else ()

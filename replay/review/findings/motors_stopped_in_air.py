@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from replay.review.facts.log_facts import LogFacts
+from replay.review.facts.log_facts import LogFacts, LogSignal
 from replay.review.findings.loss_of_control import stops
 from replay.review.findings.rule import Judgement, Rule
 
@@ -12,7 +12,7 @@ _NEAR_S = 1.5
 """Chosen: statements of state are logged once or twice a second by default."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
+def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Judgement]:
     for start, end, fell in stops(facts):
         near = [statement for statement in facts.statements if abs(statement.time_s - start) <= _NEAR_S]
         if any(statement.kind == "landing" and statement.level for statement in near):
@@ -28,8 +28,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             end_s=end,
             text=f"all motors were commanded to stop in the air{why}; the vehicle fell {fell:.0f} m",
             evidence=(
-                f"{facts.signals['motors'].origin}: all motors at zero from {start:.2f} to {end:.2f} s",
-                f"{facts.signals['height'].origin}: {fell:.1f} m lower within 3 s of it",
+                f"{motors.origin}: all motors at zero from {start:.2f} to {end:.2f} s",
+                f"{height.origin}: {fell:.1f} m lower within 3 s of it",
                 *(f"{cause.kind} at {cause.time_s:.2f} s: {cause.text}" for cause in causes),
             ),
             confidence="certain",

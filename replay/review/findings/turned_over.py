@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts
+from replay.review.facts.log_facts import LogFacts, LogSignal
 from replay.review.findings.loss_of_control import stops, tumbles
 from replay.review.findings.rule import Judgement, Rule
 
@@ -15,8 +15,7 @@ _STAYED_S = 1.0
 """Chosen: who is on its back so shortly before the flight ends did not fly on."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    attitude = facts.signals["attitude"]
+def _judge(facts: LogFacts, attitude: LogSignal, _: LogSignal) -> Iterator[Judgement]:
     stopped = [start for start, _, _ in stops(facts)]
     for start, end in tumbles(facts)[:1]:
         if any(at < start for at in stopped):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts, spans_where
+from replay.review.facts.log_facts import LogFacts, LogSignal, spans_where
 from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
@@ -19,8 +19,7 @@ _CLIPPED = 100
 """ArduPilot's documentation: a steadily rising count of clipping, above 100 in a flight, is a problem."""
 
 
-def _judge(facts: LogFacts) -> Iterator[Judgement]:
-    vibration = facts.signals["vibration"]
+def _judge(facts: LogFacts, vibration: LogSignal) -> Iterator[Judgement]:
     limit = _ARDUPILOT if facts.autopilot == "ArduPilot" else _PX4
     times = vibration.time_s
     judged = in_control(facts, times)
