@@ -292,6 +292,22 @@ def test_a_channel_without_a_clock_of_its_own_takes_the_newest_time() -> None:
     assert all(sample.u[0] == 5.0 for sample in samples)
 
 
+@pytest.mark.parametrize(("late_ms", "known"), [(0, True), (40, True), (200, False)])
+def test_a_channel_without_a_clock_is_lost_while_others_come_too_late_to_tell_its_time(
+    late_ms: int, known: bool
+) -> None:
+    wind = Channel("wind", "WIND", ("speed",), interpolation="previous")
+    messages = telemetry(0, 30_000_000)
+    messages += [Message(MAVLINK, "WIND", UNIX + t * MS, {"speed": 5.0}) for t in range(0, 30_000, 100)]
+    late = np.random.default_rng(1).uniform(0.0, late_ms * MS, len(messages))
+    late[[message.received_ns > UNIX + 9_500 * MS for message in messages]] = 0.0
+    arrival = [message.received_ns + by for message, by in zip(messages, late, strict=True)]
+    samples = feed(sampler([COMMAND, wind]), [messages[i] for i in np.argsort(arrival, kind="stable")])
+    assert not any(sample.lost[0] for sample in samples)
+    assert all(sample.lost[1] != known for sample in samples if 200 < sample.index < 900)
+    assert not any(sample.lost[1] for sample in samples if sample.index > 2_100)
+
+
 def test_messages_of_one_name_are_told_apart_by_their_fields() -> None:
     inputs = [
         Channel("motor1", "SERVO", ("servo1",), where=(("port", 0),)),
