@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -88,6 +90,28 @@ def test_landed_states_of_two_senders_are_contested_at_less_than_the_usual_rate(
     first = next(place for place, (_, _, contested) in enumerate(found) if contested)
     assert first < 20 + 14
     assert all(state == "air" for _, state, contested in found if contested)
+
+
+@pytest.mark.parametrize("period_s", [2.0, 3.0, 5.0, 9.7])
+@pytest.mark.parametrize(("say", "every_s", "true", "false"), [(beat, 1.0, 209, 81), (landed, 0.5, 2, 1)])
+def test_one_false_report_among_true_ones_that_keep_their_period_is_contested_before_the_third(
+    period_s: float, say: Callable[[float, int], Message], every_s: float, true: int, false: int
+) -> None:
+    late = random.Random(1)
+    true_ones = [say(every_s * at + late.uniform(0.0, 0.2 * every_s), true) for at in range(round(60 / every_s))]
+    forged = [say(10.3 + period_s * at, false) for at in range(round(40 / period_s))]
+    messages = sorted(true_ones + forged, key=lambda message: message.received_ns)
+    found = states(messages)
+    first = next(place for place, (_, _, contested) in enumerate(found) if contested)
+    assert messages[first].received_ns <= 10.3e9 + 2.2e9 * every_s
+    last = messages.index(forged[-1])
+    assert all(contested and armed is not False and state != "ground" for armed, state, contested in found[first:last])
+
+
+def test_reports_that_a_link_holds_back_and_brings_together_are_no_contest() -> None:
+    says = [209] * 20 + [81] + [209] * 20
+    found = states([beat(3.0 * (at // 3) + 0.01 * at, mode) for at, mode in enumerate(says)])
+    assert all(not contested for _, _, contested in found)
 
 
 def test_a_landing_that_bounces_is_no_contest() -> None:

@@ -2,9 +2,10 @@
 
 The newest report holds, unless two senders answer by turns. Reports of one sender keep their period, and of a value
 that changes and changes back the reports around it are two periods apart. Where another's come in between they are
-one. So reports are contested from the third such change within 10 s on, or from the eighth change of any kind; then
-the vehicle is taken to be the one that flies as long as reports say so: watched on the ground it may raise an alarm too
-many, not watched in the air it may fall.
+one. So reports are contested from a single such change on where the two reports before it and the two after it agree
+and kept their period without it, as seldom as it may come; else from the third within 10 s on, or from the eighth
+change of any kind. Then the vehicle is taken to be the one that flies as long as reports say so: watched on the ground
+it may raise an alarm too many, not watched in the air it may fall.
 
 A vehicle that is landing is in the air until it comes near the ground, by the height above its home that it reports:
 a descent takes as long as many a flight.
@@ -37,7 +38,8 @@ second; a second sender at the vehicle's own rate makes them in 2 s."""
 _CHANGES = 8
 """Changes at any rate that are one: landing and bouncing twice are six. A second sender makes them in 4 s."""
 _PERIODS = 1.5
-"""Longest step that is one period and not two, of reports with a jitter of half a period."""
+"""Longest step that is one period and not two, of reports with a jitter of half a period; by as much one is shorter
+where they keep it, and do not come together as from a link that holds them back."""
 _RECENT_NS = 3_000_000_000
 """How long a contested report counts: three heartbeats, as one or two may be lost."""
 _HIGH_MM = 2000
@@ -83,14 +85,21 @@ def _contested(times: tuple[int, ...], values: tuple[object, ...]) -> bool:
     steps = sorted(b - a for (a, x), (b, y) in pairwise(zip(times, values, strict=True)) if x == y)
     if not steps:
         return False
-    one_period = _PERIODS * steps[len(steps) // 2]
-    return (
-        sum(
-            values[i - 1] == values[i + 1] != values[i] and times[i + 1] - times[i - 1] <= one_period
-            for i in range(1, len(values) - 1)
-        )
-        >= _TURNS
-    )
+    period = steps[len(steps) // 2]
+    between = [
+        i
+        for i in range(1, len(values) - 1)
+        if values[i - 1] == values[i + 1] != values[i] and times[i + 1] - times[i - 1] <= _PERIODS * period
+    ]
+    return len(between) >= _TURNS or any(_is_extra(times[i - 2 :], values[i - 2 :], period) for i in between if i > 1)
+
+
+def _is_extra(times: tuple[int, ...], values: tuple[object, ...], period: int) -> bool:
+    """Return whether of five reports the others kept their period without the third, and agree."""
+    if len(times) < 5 or not values[0] == values[1] == values[3] == values[4]:
+        return False
+    steps = times[1] - times[0], times[3] - times[1], times[4] - times[3]
+    return all(period <= _PERIODS * step and step <= _PERIODS * period for step in steps)
 
 
 class FlightPhase:
