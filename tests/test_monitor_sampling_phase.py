@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from adapters.message import Message
-from adapters.source import MAVLINK, ZENOH
+from adapters.source import MAVLINK, ULOG, ZENOH
 from monitor.sampling.phase import FlightPhase
 
 
@@ -119,6 +119,14 @@ def test_a_landing_that_bounces_is_no_contest() -> None:
     found = states([landed(0.5 * step, state) for step, state in enumerate(says)])
     assert all(not contested for _, _, contested in found)
     assert found[-1][1] == "ground"
+
+
+def test_in_the_vehicles_own_log_which_holds_each_change_no_report_is_contested() -> None:
+    changes = [(132.5, 2), (133.5, 2), (134.5, 2), (135.5, 2), (135.8, 4), (136.0, 2), (136.4, 4), (137.0, 4)]
+    says = [landed(at, state) for at, state in [*changes, (137.3, 2), (137.7, 4), (138.0, 4), (138.4, 1)]]
+    assert any(contested for _, _, contested in states(says))
+    found = states([Message(ULOG, "log/parameter", 0, {"key": "MAV_TYPE", "value": 2}), *says])
+    assert all(not contested for _, _, contested in found)
 
 
 def test_a_landing_reported_over_two_links_a_second_apart_is_no_contest() -> None:

@@ -9,6 +9,8 @@ it may raise an alarm too many, not watched in the air it may fall.
 
 A vehicle that is landing is in the air until it comes near the ground, by the height above its home that it reports:
 a descent takes as long as many a flight.
+
+Into a vehicle's own log nobody else writes, and it holds a report for each change: nothing in it is contested.
 """
 
 from __future__ import annotations
@@ -124,6 +126,7 @@ class FlightPhase:
         self._fitted = fitted
         self._beats = Said()
         self._landings = Said()
+        self._logged = False  # whether the reports are those of the vehicle's own log
         self._high_ns: int | None = None  # when it was last reported to be high; None where it is low or unknown
 
     @property
@@ -164,6 +167,7 @@ class FlightPhase:
         if message.name not in self.interests:
             return
         now_ns = message.received_ns
+        self._logged |= message.source.is_onboard_log
         if message.name == "GLOBAL_POSITION_INT":
             height = message.fields.get("relative_alt")
             is_high = message.source is MAVLINK and isinstance(height, int | float) and height > _HIGH_MM
@@ -174,14 +178,16 @@ class FlightPhase:
             said = message.fields
             mode = said.get("base_mode")
             armed = bool(mode & ARMED) if isinstance(mode, int) else None
-            self._beats = self._beats.after(now_ns, (armed, said.get("type"), said.get("autopilot")))
+            if not self._logged:
+                self._beats = self._beats.after(now_ns, (armed, said.get("type"), said.get("autopilot")))
         self._identify(message)
         if message.source is not MAVLINK:
             return
         if message.name == "EXTENDED_SYS_STATE":
             state = message.fields.get("landed_state")
             self._landed = _LANDED.get(state) if isinstance(state, int) else None
-            self._landings = self._landings.after(now_ns, self._landed)
+            if not self._logged:
+                self._landings = self._landings.after(now_ns, self._landed)
             if self._high_ns is not None and not 0 <= now_ns - self._high_ns < _RECENT_NS:
                 self._high_ns = None
             if self._landings.contested and "air" in self._landings.recent():
