@@ -60,6 +60,14 @@ def test_nothing_is_named_in_healthy_flight() -> None:
     assert others(named(noisy(120.0, 1)), "") == 0.0
 
 
+@pytest.mark.parametrize("seed", [0, 2, 4])
+def test_samples_that_vibration_throws_about_are_no_fault(seed: int) -> None:
+    raw, rng = noisy(60.0, seed), np.random.default_rng(seed)
+    raw[:, :3] += 2.0 * rng.normal(size=(len(raw), 3))
+    raw[:, 3:6] += 0.05 * rng.normal(size=(len(raw), 3))
+    assert others(named(raw), "") == 0.0
+
+
 def test_gyros_that_are_later_than_accelerometers_make_no_fault_in_fast_turns() -> None:
     t, late_s = np.arange(12_000) / truth.SIGNAL_HZ, 0.06
     rate, speed = 2.0 * np.tanh(20.0 * np.sin(0.5 * t)), 5.0

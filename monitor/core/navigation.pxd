@@ -37,6 +37,11 @@ cdef class Navigation:
     cdef bint _begun, _turned
     cdef double[9] _R
     cdef double[3] _rate
+    cdef double[3] _force
+    # Of the gyros and then of the accelerometers: by how much each changed over the tick before, and the variance of its
+    # noise.
+    cdef double[6] _change
+    cdef double[6] _noise
     # The force in the axes of the gyros, how it turns with them, north, east, down, and how late they are.
     cdef double[3] _aligned
     cdef double[3] _swing
@@ -83,6 +88,8 @@ cdef class Navigation:
         double* acceleration
     ) noexcept
     cdef void align(self, const double* force, const double* rate, double* aligned, double* swing) noexcept
+    cdef void shake(self, int k, double change) noexcept
+    cdef double shaken(self, int axis, int first) noexcept
     cdef void point(self, const double* field, const double* R) noexcept
     cdef void meet(self, const double* velocity) noexcept
     cdef bint believed(self) noexcept

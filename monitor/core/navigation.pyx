@@ -51,9 +51,13 @@ cdef double _GRAVITY = STANDARD_GRAVITY
 # the magnetic field is from where it was first seen, rad, thrice what one measurement of a noisy one may be off; how
 # late the gyros are, s: half of what an autopilot's filters of 4 and 10 Hz make.
 cdef double[STATES] _START = [0.02, 0.02, 0.1, 0.1, 0.1, 0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.02]
-# Random walks per root of a second: of attitude and velocity, what vibration and the straight lines between samples
-# leave; of the biases, what warms up by 0.01 rad/s and by half a metre per second squared within some hours.
+# Random walks per root of a second: of attitude and velocity, the least that vibration and the straight lines between
+# samples leave; of the biases, what warms up by 0.01 rad/s and by half a metre per second squared within some hours.
 cdef double[4] _WALK = [1e-3, 0.05, 1e-4, 5e-3]
+# Noise and vibration make second differences of six times their variance, of which half are below 0.455 times that;
+# motion makes large ones, but seldom. Followed by a factor of e within a second, as long as propellers take to change.
+cdef double _HALF_BELOW = 6.0 * 0.455
+cdef double _NOISE_S = 1.0
 # Noise of a GPS's velocity (0.1 m/s, 50 % circular, in data sheets), how late or early against the others it may be
 # (quarter of the time between two fixes of 5 Hz), and noise of the autopilot's heading.
 cdef double _SPEED_NOISE = 0.1
@@ -220,7 +224,13 @@ cdef class Navigation:
             self._velocity[0] = self._velocity[1] = 0.0
             memcpy(self._rate, rate, sizeof(self._rate))
             self.align(force, rate, self._aligned, swing)
+            memset(self._change, 0, sizeof(self._change))
+            for i in range(3):
+                self._noise[i], self._noise[3 + i] = _WALK[0] * _WALK[0] / self._dt, _WALK[1] * _WALK[1] / self._dt
+            memcpy(self._force, force, sizeof(self._force))
         for i in range(3):
+            self.shake(i, rate[i] - self._rate[i])
+            self.shake(3 + i, force[i] - self._force[i])
             turn[i] = (0.5 * (self._rate[i] + rate[i]) - self._bias[i]) * self._dt
             between[i] = (rate[i] - self._rate[i]) * self._dt
             self._whirl = fmax(fabs(rate[i]), self._whirl)
@@ -254,12 +264,12 @@ cdef class Navigation:
             walk = 0.0
             for j in range(3):
                 walk += self._R[3 * i + j] * between[j]
-            self._Q[i][i] += _WALK[0] * _WALK[0] * self._dt + _BETWEEN * walk * walk
+            self._Q[i][i] += self.shaken(i, 0) + _BETWEEN * walk * walk
             if lacks:
                 self._Q[i][i] += (_UNSEEN_RATE * self._dt) ** 2
         for i in range(2):
             change = 2.0 * (a[i] - specific[i]) * self._dt
-            self._Q[_V + i][_V + i] += _WALK[1] * _WALK[1] * self._dt + _BETWEEN * change * change
+            self._Q[_V + i][_V + i] += self.shaken(i, 3) + _BETWEEN * change * change
             self._Q[_BA + i][_BA + i] += _WALK[3] * _WALK[3] * self._dt
             if lacks:
                 self._Q[_V + i][_V + i] += (_UNSEEN_ACCELERATION * self._dt) ** 2
@@ -268,6 +278,7 @@ cdef class Navigation:
         self._Q[_H][_H] += self._field_walk * self._field_walk * self._dt
         memcpy(self._R, turned, sizeof(self._R))
         memcpy(self._rate, rate, sizeof(self._rate))
+        memcpy(self._force, force, sizeof(self._force))
         memcpy(self._aligned, aligned, sizeof(aligned))
         self._ticks += 1
         self.point(field, R)
@@ -284,6 +295,21 @@ cdef class Navigation:
         for j in range(3):
             swing[j] = w[(j + 1) % 3] * f[(j + 2) % 3] - w[(j + 2) % 3] * f[(j + 1) % 3]
             aligned[j] = f[j] + self._late_s * swing[j]
+
+    cdef void shake(self, int k, double change) noexcept:
+        """Follow the variance of the noise of gyro k or accelerometer k - 3, which changed by so much over the tick."""
+        cdef double second = change - self._change[k], walk = _WALK[k >= 3]
+        self._change[k] = change
+        self._noise[k] *= 1.0 + (self._dt if second * second > _HALF_BELOW * self._noise[k] else -self._dt) / _NOISE_S
+        self._noise[k] = fmax(self._noise[k], walk * walk / self._dt)
+
+    cdef double shaken(self, int axis, int first) noexcept:
+        """Return what noise of gyros (first 0) or accelerometers (3) adds about an axis over a tick, as a variance."""
+        cdef double variance = 0.0
+        cdef int j
+        for j in range(3):
+            variance += self._R[3 * axis + j] * self._R[3 * axis + j] * self._noise[first + j]
+        return variance * self._dt * self._dt
 
     cdef void point(self, const double* field, const double* R) noexcept:
         """Follow where the magnetic field points by the attitude of this tick, or without one the heading R."""
