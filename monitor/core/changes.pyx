@@ -29,6 +29,8 @@ cdef double LARGEST_LOSS = 1.25
 # Smallest determinant of two onsets' information, as a share of the product of its diagonal, with which both are fitted
 # together: below it they are one and the difference is rounding.
 cdef double SMALLEST_DETERMINANT = 1e-9
+# Share of nats that is rounding.
+cdef double NEARLY = 1e-12
 # Rows between two moves of what is kept of onsets. Chosen: a move costs each of them a share of a row's work, and sums
 # over so few rows lose no digit that counts.
 cdef enum:
@@ -47,11 +49,68 @@ cdef inline Py_ssize_t back(Py_ssize_t newest, Py_ssize_t age, Py_ssize_t length
     return newest - age if newest >= age else newest - age + length
 
 
-cdef void add(double* total, Py_ssize_t count, double factor, const double* terms, double constant) noexcept:
-    """Add a multiple of terms, and a constant, to as many sums."""
-    cdef Py_ssize_t i
-    for i in range(count):
-        total[i] += factor * terms[i] + constant
+cdef void add(double* moment, double* information, const double* course, Py_ssize_t count, double pull, double weight,
+              double along, double square) noexcept:
+    """Add s'z and s's of one output to as many onsets, less ``along`` and ``square`` that settled ones get."""
+    cdef Py_ssize_t age
+    for age in range(count):
+        moment[age] += pull * course[age] - along
+        information[age] += weight * course[age] * course[age] - square
+
+
+cdef void add_mixed(double* mixed, const double* course, Py_ssize_t count, double weight, double square) noexcept:
+    """Add to as many onsets s's with the onset a row later, as :func:`add` does."""
+    cdef Py_ssize_t age
+    mixed[0] -= square
+    for age in range(1, count):
+        mixed[age] += weight * course[age] * course[age - 1] - square
+
+
+cdef void add_growing(double* moment, double* information, const double* since, Py_ssize_t count, const double* start,
+                      const double* slope, const double* pull, const double* weight, Py_ssize_t outputs) noexcept:
+    """Add s'z and s's of outputs whose response grows evenly from a start."""
+    cdef Py_ssize_t i, age
+    cdef double along = 0.0, along_slope = 0.0, square = 0.0, inner = 0.0, square_slope = 0.0
+    for i in range(outputs):
+        along += pull[i] * start[i]
+        along_slope += pull[i] * slope[i]
+        square += weight[i] * start[i] * start[i]
+        inner += 2.0 * weight[i] * start[i] * slope[i]
+        square_slope += weight[i] * slope[i] * slope[i]
+    for age in range(count):
+        moment[age] += along + since[age] * along_slope
+        information[age] += square + since[age] * (inner + since[age] * square_slope)
+
+
+cdef void compare(const double* moment, const double* information, const double* mixed, double settled_along,
+                  double settled_square, Py_ssize_t first, Py_ssize_t end, Fitted* found) noexcept:
+    """Take each onset, and where ``mixed`` is given each time between it and the next, for the best if it is better."""
+    cdef Py_ssize_t age
+    cdef double along, square, cross, determinant, explained, early, late, nats = found.nats
+    # of the onset a row later
+    cdef double next_along = 0.0, next_square = 0.0
+    if first > 0:
+        next_along, next_square = moment[first - 1] + settled_along, information[first - 1] + settled_square
+    for age in range(first, end):
+        along, square = moment[age] + settled_along, information[age] + settled_square
+        if along * along > 2.0 * nats * square:
+            nats = 0.5 * along * along / square
+            found[0] = Fitted(nats, along / square, 1.0 / square, 0.0, age)
+        if mixed and age > 0:
+            cross = mixed[age] + settled_square
+            determinant = square * next_square - cross * cross
+            early = along * next_square - cross * next_along
+            late = square * next_along - cross * along
+            explained = early * along + late * next_along
+            if (
+                explained > 2.0 * nats * determinant
+                and determinant > SMALLEST_DETERMINANT * square * next_square
+                and early * late > 0.0
+            ):
+                nats = 0.5 * explained / determinant
+                found[0] = Fitted(
+                    nats, (early + late) / determinant, (square + next_square - 2.0 * cross) / determinant, 0.0, age)
+        next_along, next_square = along, square
 
 
 cdef void move(double* total, Py_ssize_t count, Py_ssize_t start, double constant) noexcept:
@@ -121,14 +180,14 @@ cdef class ChangeTest:
     cdef double clip, follow, limit, rate_hz, step_ns
     cdef bint driven
     # columns of matrices that are not zero, row after row, and where those of a row start
-    cdef Py_ssize_t[::1] from_y, of_y, from_v, of_v, from_nu, of_nu, from_added, of_added
-    # additions, their squares, and their products with those of an onset a row later, by age (S, p, D)
-    cdef double[:, :, ::1] added, squared, crossed
+    cdef Py_ssize_t[::1] from_y, of_y, from_v, of_v, from_nu, of_nu, from_h, of_h
+    # what each hypothesis makes of e, by the age of its onset; that of losses is of the latest row (H, p, D)
+    cdef double[:, :, ::1] course
     # kept from row to row in rings, newest at ``row``: v, what the lag lets through, innovations, |y| and |B dv|
     cdef double[:, ::1] v, acting, innovation, excited
-    cdef double[::1] last_y, most_excited, whitened, sigma, certainty, level, growing
-    # of each actuator: what a loss before the lag, behind it, and one before it by its rows makes of e; s a row before
-    cdef double[:, ::1] partial, behind, delayed, later
+    cdef double[::1] last_y, most_excited, whitened, sigma, level
+    # z / sigma and 1 / sigma^2; time since an onset; where growing responses begin, and their slopes
+    cdef double[::1] pull, weight, since, start, slope
     cdef uint8_t[::1] is_sudden
     # Onsets that are tried: sums of s'z and s's by hypothesis, of s's with the onset a row later, and of |z|^2 / 2. An
     # onset ``age`` rows older than the newest is at ``newest + age``; room for further ones is before it.
@@ -139,6 +198,7 @@ cdef class ChangeTest:
     cdef double settled_energy
     # upper bound of the nats of each hypothesis; the best one of the row before and the best of another fault
     cdef double[::1] bound
+    cdef Py_ssize_t[::1] best_age
     cdef Py_ssize_t leading[2]
     cdef Py_ssize_t begun, newest, known, commands
     cdef int64_t row
@@ -166,23 +226,22 @@ cdef class ChangeTest:
         self.innovation = np.zeros((self.length, self.p))
         self.excited, self.most_excited = np.zeros((self.hold, 2 * self.p)), np.zeros(2 * self.p)
         self.last_y = np.zeros(self.n)
-        self.whitened, self.sigma, self.certainty = np.zeros(self.p), np.ones(self.p), np.ones(self.p)
+        self.whitened, self.sigma = np.zeros(self.p), np.ones(self.p)
         self.level, self.follow = np.ones(self.p), 1.0 / level_rows
-        self.partial, self.behind, self.delayed = np.zeros((3, self.m, self.p))
-        self.later, self.growing = np.zeros((3 * self.m, self.p)), np.zeros(self.p)
+        self.pull, self.weight, self.start, self.slope = np.zeros((4, self.p))
         self.is_sudden = np.repeat([1, 0], [2 * self.m, self.m]).astype(np.uint8)
         self.is_sudden = np.concatenate([self.is_sudden, np.asarray(sudden)]).astype(np.uint8)
         self.moment, self.information, self.mixed = np.zeros((3, self.H, self.window + ROOM))
-        self.energy = np.zeros(self.window + ROOM)
+        self.energy, self.since = np.zeros(self.window + ROOM), np.arange(self.window + self.D) / self.rate_hz
         self.settled_moment, self.settled_information, self.bound = np.zeros((3, self.H))
         self.leading[0] = self.leading[1] = 0
+        self.best_age = np.zeros(self.H, np.intp)
         self.of_y, self.from_y = _nonzero(dynamics[:, : self.n])
         self.of_v, self.from_v = _nonzero(dynamics[:, self.n : self.n + self.s])
         self.of_nu, self.from_nu = _nonzero(np.abs(whitening).sum(axis=0))
-        course = np.ascontiguousarray(np.asarray(additions, float).transpose(1, 2, 0))
-        self.of_added, self.from_added = _nonzero(np.abs(course).max(axis=2))
-        self.added, self.squared, self.crossed = course, course * course, np.zeros_like(course)
-        np.asarray(self.crossed)[:, :, 1:] = course[:, :, 1:] * course[:, :, :-1]
+        lost = np.ones((self.D, 3 * self.m, self.p))
+        self.course = np.ascontiguousarray(np.concatenate([lost, additions], axis=1).transpose(1, 2, 0))
+        self.of_h, self.from_h = _nonzero(np.abs(self.course).max(axis=2))
         self.impulse = self._impulse(np.asarray(dynamics), np.asarray(taps), np.asarray(whitening))
         self.direct = self._impulse(np.asarray(dynamics), np.ones(1), np.asarray(whitening))
         self.row = 0
@@ -352,7 +411,8 @@ cdef class ChangeTest:
         weight = min(1.0, self.clip / sqrt(length)) if length > 0.0 else 1.0
         for i in range(self.p):
             self.whitened[i] *= weight
-            self.certainty[i] = weight / self.sigma[i]
+            self.pull[i] = self.whitened[i] * weight / self.sigma[i]
+            self.weight[i] = weight * weight / (self.sigma[i] * self.sigma[i])
 
     cdef void accumulate(self) noexcept:
         """Begin an onset at this row, and add s'z, s's and |z|^2 / 2 of the row to every onset in the window."""
@@ -372,8 +432,9 @@ cdef class ChangeTest:
         for h in range(self.H):
             # No fit explains more of all rows than the best one of those before, and all of this one.
             self.bound[h] += half
-        self.add_losses()
-        self.add_additions()
+        self.follow_losses()
+        for h in range(self.H):
+            self.add_row(h)
 
     cdef void make_room(self) noexcept:
         """Move what is kept of onsets to the end, without the one that leaves the window."""
@@ -387,104 +448,53 @@ cdef class ChangeTest:
         self.settled_moment[:] = 0.0
         self.settled_information[:] = 0.0
 
-    cdef void add_losses(self) noexcept:
-        """Add what losses of actuators since each onset make of this row.
+    cdef void follow_losses(self) noexcept:
+        """Find what losses of actuators since each onset make of this row.
 
         Of onsets that lie further back than lag and whitening remember the response is the same, or grows evenly.
         """
-        cdef Py_ssize_t age, i, j, h, source, before, at, newest = self.row % self.length
-        cdef double value, since, s, along, square, slope_along, slope_square, inner
-        cdef double* moment
-        cdef double* information
-        self.partial[:, :] = 0.0
-        self.behind[:, :] = 0.0
-        self.delayed[:, :] = 0.0
-        self.later[:, :] = 0.0
+        cdef Py_ssize_t age, i, j, source, newest = self.row % self.length
+        cdef double value, partial, behind, delayed
         for j in range(self.m):
             source = self.actuators[j]
-            for age in range(self.depth):
-                since = age / self.rate_hz
-                before, at = back(newest, age + 1, self.length), back(newest, age, self.length)
-                for i in range(self.p):
-                    # The response to a loss since ``age`` rows: v that came before it is not missing.
-                    value = self.impulse[age, j, i] * self.v[before, source]
-                    self.partial[j, i] += value
-                    self.delayed[j, i] += since * value
-                    if age <= self.P:
-                        self.behind[j, i] += self.direct[age, j, i] * self.acting[at, source]
-                    self.growing[i] = since * self.partial[j, i] - self.delayed[j, i]
-                self.respond(j, age, &self.partial[j, 0])
-                self.respond(self.m + j, age, &self.behind[j, 0])
-                self.respond(2 * self.m + j, age, &self.growing[0])
-            self.settle(j)
-            self.settle(self.m + j)
-            h = 2 * self.m + j
-            along = square = slope_along = slope_square = inner = 0.0
             for i in range(self.p):
-                s, value = self.later[h, i], self.partial[j, i] * self.certainty[i]
-                along += s * self.whitened[i]
-                square += s * s
-                slope_along += value * self.whitened[i]
-                slope_square += value * value
-                inner += s * value
-            moment, information = &self.moment[h, self.newest], &self.information[h, self.newest]
-            for age in range(self.depth, self.begun):
-                since = (age - self.depth + 1) / self.rate_hz
-                moment[age] += along + since * slope_along
-                information[age] += square + since * (2.0 * inner + since * slope_square)
+                partial = behind = delayed = 0.0
+                for age in range(self.D):
+                    if age < self.depth:
+                        # The response to a loss since ``age`` rows: v that came before it is not missing.
+                        value = self.impulse[age, j, i] * self.v[back(newest, age + 1, self.length), source]
+                        partial += value
+                        delayed += self.since[age] * value
+                    if age <= self.P:
+                        behind += self.direct[age, j, i] * self.acting[back(newest, age, self.length), source]
+                    self.course[j, i, age], self.course[self.m + j, i, age] = partial, behind
+                    self.course[2 * self.m + j, i, age] = self.since[age] * partial - delayed
 
-    cdef void respond(self, Py_ssize_t h, Py_ssize_t age, const double* response) noexcept:
-        """Add to an onset s'z, s's and s times that of an onset a row later; s = response / sigma."""
-        cdef Py_ssize_t i, place = self.newest + age
-        cdef double s, along = 0.0, square = 0.0, cross = 0.0
-        for i in range(self.p):
-            s = response[i] * self.certainty[i]
-            along += s * self.whitened[i]
-            square += s * s
-            cross += s * self.later[h, i]
-            self.later[h, i] = s
-        if age < self.begun:
-            self.moment[h, place] += along
-            self.information[h, place] += square
-            self.mixed[h, place] += cross
-
-    cdef void settle(self, Py_ssize_t h) noexcept:
-        """Let older onsets than have responded to this row have the response of the oldest of them."""
-        cdef Py_ssize_t i, age
+    cdef void add_row(self, Py_ssize_t h) noexcept:
+        """Add s'z and s's of a hypothesis to the onsets."""
+        cdef Py_ssize_t d, i, last = self.D - 1, count = min(self.begun, self.D)
+        cdef bint grows = 2 * self.m <= h < 3 * self.m
         cdef double along = 0.0, square = 0.0
-        for i in range(self.p):
-            along += self.later[h, i] * self.whitened[i]
-            square += self.later[h, i] * self.later[h, i]
+        cdef double* moment = &self.moment[h, self.newest]
+        cdef double* information = &self.information[h, self.newest]
+        if self.D < self.window and not grows:
+            for d in range(self.from_h[h], self.from_h[h + 1]):
+                i = self.of_h[d]
+                along += self.pull[i] * self.course[h, i, last]
+                square += self.weight[i] * self.course[h, i, last] * self.course[h, i, last]
         self.settled_moment[h] += along
         self.settled_information[h] += square
-        for age in range(self.newest, self.newest + min(self.begun, self.depth)):
-            self.moment[h, age] -= along
-            self.information[h, age] -= square
-            self.mixed[h, age] -= square
-
-    cdef void add_additions(self) noexcept:
-        """Add what additions to what is measured, since each onset, make of this row."""
-        cdef Py_ssize_t d, h, i, place, count = min(self.begun, self.D)
-        cdef double along, square, pull, weight
-        for h in range(self.S):
-            place = 3 * self.m + h
+        for d in range(self.from_h[h], self.from_h[h + 1]):
+            i = self.of_h[d]
+            add(moment, information, &self.course[h, i, 0], count, self.pull[i], self.weight[i], along, square)
+            if self.is_sudden[h]:
+                add_mixed(&self.mixed[h, self.newest], &self.course[h, i, 0], count, self.weight[i], square)
             along = square = 0.0
-            if self.D < self.window:
-                for d in range(self.from_added[h], self.from_added[h + 1]):
-                    i = self.of_added[d]
-                    along += self.added[h, i, self.D - 1] * self.certainty[i] * self.whitened[i]
-                    square += self.squared[h, i, self.D - 1] * self.certainty[i] * self.certainty[i]
-            self.settled_moment[place] += along
-            self.settled_information[place] += square
-            for d in range(self.from_added[h], self.from_added[h + 1]):
-                i = self.of_added[d]
-                weight = self.certainty[i] * self.certainty[i]
-                pull = self.certainty[i] * self.whitened[i]
-                add(&self.moment[place, self.newest], count, pull, &self.added[h, i, 0], -along)
-                add(&self.information[place, self.newest], count, weight, &self.squared[h, i, 0], -square)
-                if self.is_sudden[place]:
-                    add(&self.mixed[place, self.newest], count, weight, &self.crossed[h, i, 0], -square)
-                along = square = 0.0
+        if grows and self.begun > count:
+            for i in range(self.p):
+                self.start[i], self.slope[i] = self.course[h, i, last], self.course[h - 2 * self.m, i, last]
+            add_growing(moment + count, information + count, &self.since[1], self.begun - count, &self.start[0],
+                        &self.slope[0], &self.pull[0], &self.weight[0], self.p)
 
     cdef Fitted fit(self, Py_ssize_t h) noexcept:
         """Return how well a hypothesis explains the window: g = (s'z)^2 / (2 s's), the largest of all onsets.
@@ -493,32 +503,17 @@ cdef class ChangeTest:
         shares are fitted together. So the variance of its size has that of its onset in it.
         """
         cdef Fitted best = Fitted(0.0, 0.0, 0.0, 0.0, 0)
-        cdef Py_ssize_t age, place
-        cdef double along, square, mixed, determinant, explained, early, late
-        cdef double settled_along = self.settled_moment[h], settled_square = self.settled_information[h]
-        # of the onset a row later
-        cdef double next_along = 0.0, next_square = 0.0
-        for age in range(self.begun):
-            place = self.newest + age
-            along, square = self.moment[h, place] + settled_along, self.information[h, place] + settled_square
-            if along * along > 2.0 * best.nats * square:
-                best = Fitted(0.5 * along * along / square, along / square, 1.0 / square, 0.0, age)
-            if age and self.is_sudden[h]:
-                mixed = self.mixed[h, place] + settled_square
-                determinant = square * next_square - mixed * mixed
-                early = along * next_square - mixed * next_along
-                late = square * next_along - mixed * along
-                explained = early * along + late * next_along
-                if (
-                    explained > 2.0 * best.nats * determinant
-                    and determinant > SMALLEST_DETERMINANT * square * next_square
-                    and early * late > 0.0
-                ):
-                    best = Fitted(
-                        0.5 * explained / determinant, (early + late) / determinant,
-                        (square + next_square - 2.0 * mixed) / determinant, 0.0, age)
-            next_along, next_square = along, square
-        self.bound[h] = best.nats
+        cdef const double* moment = &self.moment[h, self.newest]
+        cdef const double* information = &self.information[h, self.newest]
+        cdef const double* mixed = &self.mixed[h, self.newest] if self.is_sudden[h] else NULL
+        cdef double along = self.settled_moment[h], square = self.settled_information[h]
+        # The best onset of the last fit is likely to be the best again: few others come near.
+        cdef Py_ssize_t age = self.best_age[h] + 1
+        if age < self.begun:
+            compare(moment, information, mixed, along, square, age, age + 1, &best)
+            best.nats *= 1.0 - NEARLY
+        compare(moment, information, mixed, along, square, 0, self.begun, &best)
+        self.bound[h], self.best_age[h] = best.nats, best.age
         return best
 
     cdef double prior(self, Py_ssize_t h, const Fitted* found, const double[:] believed) noexcept:
