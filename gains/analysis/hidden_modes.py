@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +106,7 @@ def kernel(matrix: FloatArray) -> FloatArray:
     return right[int(np.sum(singular > _RANK_TOLERANCE)) :].T
 
 
-def row_norms(matrix: FloatArray) -> FloatArray:
-    """Return the length of each row, one for a row of zeros."""
-    norms = np.linalg.norm(matrix, axis=1)
+def row_norms(matrices: NDArray[Any]) -> FloatArray:
+    """Return the length of each row of a matrix or of several, one for a row of zeros."""
+    norms = np.linalg.norm(matrices, axis=-1)
     return np.where(norms > 0.0, norms, 1.0)
