@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -43,9 +44,14 @@ def modules() -> list[Path]:
     return [path for package in ALLOWED for path in sorted((ROOT / package).rglob("*.py"))]
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
 def imported_packages(path: Path) -> set[str]:
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             found |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
@@ -64,26 +70,30 @@ def test_every_module_begins_with_what_it_does() -> None:
     assert [str(path) for path in modules() if not path.read_text().startswith('"""')] == []
 
 
-def public_names(path: Path) -> dict[str, str]:
-    """Return the classes, functions and named types that a module defines for others, with their source."""
-    found = {}
-    for node in ast.parse(path.read_text()).body:
+def public_names(path: Path) -> dict[str, ast.stmt]:
+    """Return the classes, functions and named types that a module defines for others."""
+    found: dict[str, ast.stmt] = {}
+    for node in parsed(path).body:
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
-            found[node.name] = ast.unparse(node)
+            found[node.name] = node
         elif isinstance(node, ast.Assign | ast.AnnAssign):
             for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
                 # constants in capitals belong to their module
                 if isinstance(target, ast.Name) and not target.id.isupper():
-                    found[target.id] = ast.unparse(node)
-    return {name: source for name, source in found.items() if not name.startswith("_")}
+                    found[target.id] = node
+    return {name: node for name, node in found.items() if not name.startswith("_")}
 
 
 def test_a_public_name_has_one_meaning() -> None:
-    meanings: dict[str, dict[str, str]] = {}
+    meanings: dict[str, dict[str, ast.stmt]] = {}
     for path in modules():
-        for name, source in public_names(path).items():
-            meanings.setdefault(name, {})[str(path.relative_to(ROOT))] = source
-    several = {name: sorted(places) for name, places in meanings.items() if len(set(places.values())) > 1}
+        for name, node in public_names(path).items():
+            meanings.setdefault(name, {})[str(path.relative_to(ROOT))] = node
+    several = {
+        name: sorted(places)
+        for name, places in meanings.items()
+        if len(places) > 1 and len({ast.unparse(node) for node in places.values()}) > 1
+    }
     assert {name: places for name, places in several.items() if name not in INTERFACES} == {}
 
 
@@ -96,7 +106,7 @@ def folder(path: Path) -> str:
 def imported_modules(path: Path) -> set[Path]:
     """Return our modules that one imports, wherever in it the import stands."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in ALLOWED:
             base = ROOT.joinpath(*node.module.split("."))
             names = [base / f"{alias.name}.py" for alias in node.names]
