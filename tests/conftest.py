@@ -2,9 +2,12 @@
 
 import fcntl
 import gc
+import hashlib
 import os
+import pickle
 import signal
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -66,12 +69,25 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Begin in each process with another file: what one has compiled, the others find compiled."""
+    report = yield
+    if isinstance(collector, pytest.Directory) and "PYTEST_XDIST_WORKER" in os.environ:
+        process, processes = int(os.environ["PYTEST_XDIST_WORKER"][2:]), int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+        first = len(report.result) * process // processes
+        report.result = report.result[first:] + report.result[:first]
+    return report
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Spread the files that wait over the first half of those that compute: none waits alone at the end."""
     files = dict.fromkeys(item.path.name for item in items)
     waiting = [name for name in WAITING if name in files]
-    others = sorted((name for name in files if name not in WAITING), key=lambda name: name != FITS)
+    others = sorted((name for name in files if name not in WAITING), key=lambda name: (name != FITS, name))
     place = {name: float(k) for k, name in enumerate(others)}
     place |= {name: 0.5 * len(others) * k / len(waiting) - 0.5 for k, name in enumerate(waiting)}
     items.sort(key=lambda item: place[item.path.name])
@@ -94,6 +110,33 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
         if not folder.exists():
             make(folder)
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def inequalities_solved_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Solve each inequality of a design once in a run of the suite: many tests design observers of the same plants.
+
+    Solutions are kept with the run's own temporary files, by all that goes into the inequality.
+    """
+    from gains.synthesis.bounded_real import Inequality, Solution, solve_bounded_real
+
+    folder = made_once(tmp_path_factory, "solutions", Path.mkdir)
+
+    def solved(problem: Inequality, fixed: tuple[float, float] | None = None) -> tuple[Solution | None, float]:
+        started = time.perf_counter()
+        kept = folder / hashlib.sha256(pickle.dumps((problem, fixed))).hexdigest()
+        if not kept.exists():
+            found, seconds = solve_bounded_real(problem, fixed)
+            partial = kept.with_suffix(f".{os.getpid()}")
+            partial.write_bytes(pickle.dumps(found))
+            partial.replace(kept)
+            return found, seconds
+        found = pickle.loads(kept.read_bytes())  # noqa: S301 - written by this run
+        return found, time.perf_counter() - started
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gains.synthesis.convex.solve_bounded_real", solved)
+        yield
 
 
 @pytest.fixture(scope="session")
