@@ -43,6 +43,7 @@ class Flight:
     fix: Callable[[float], int] = lambda _: 3
     gps_used: bool = True
     north_m: Callable[[float], float] = lambda _: 0.0
+    altered_m: Callable[[float], float] = lambda _: 0.0  # between the estimator and the controller; ArduPilot alone
     ratio: Callable[[float], float] = lambda _: 0.1
     resets: Callable[[float], int] = lambda _: 1
     vibration: Callable[[float], float] = lambda _: 2.0
@@ -169,6 +170,9 @@ def ardupilot_log(
     log.define("BAT", "QBff", "TimeUS,Inst,Volt,Curr", "s#--")
     log.define("GPS", "QBBBB", "TimeUS,I,Status,NSats,U", "s#---")
     log.define("XKF4", "QBfff", "TimeUS,C,SV,SP,SH", "s#---")
+    log.define("XKF1", "QBff", "TimeUS,C,PN,PE", "s#mm")
+    log.define("PSCN", "Qff", "TimeUS,TPN,PN")
+    log.define("PSCE", "Qff", "TimeUS,TPE,PE")
     log.define("VIBE", "QBfffI", "TimeUS,IMU,VibeX,VibeY,VibeZ,Clip", "s#----")
     log.add("MSG", BEGIN_US, "ArduCopter V4.5.7")
     for number in range(1, 5):
@@ -192,6 +196,10 @@ def ardupilot_log(
         log.add("BAT", stamp, 0, flight.volts(at), 12.0)
         log.add("GPS", stamp, 0, flight.fix(at), 4 * flight.fix(at), flight.gps_used)
         log.add("XKF4", stamp, 0, 0.1, flight.ratio(at), 0.1)
+        for lane in range(2):
+            log.add("XKF1", stamp, lane, flight.north_m(at) + 8.0 * lane, 0.0)
+        log.add("PSCN", stamp, 0.0, flight.north_m(at) + flight.altered_m(at))
+        log.add("PSCE", stamp, 0.0, 0.0)
         log.add("VIBE", stamp, 0, flight.vibration(at), 0.0, 0.0, flight.clipped(at))
     path.write_bytes(log.data)
     return path

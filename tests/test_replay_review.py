@@ -146,6 +146,11 @@ LOOK_ALIKES: dict[str, Flight] = {
         motors=lambda at: [0.1, 0.1, 0.12, 0.1] if 30.0 <= at < 31.0 else usual_motors(at),
         tilt_deg=between(30.2, 31.0, 50.0, 0.0),
     ),
+    "motors that run up together": Flight(rpm=lambda at: [8000.0 * turning(at) if at > 5.0 else 300.0] * 4),
+    "a large propeller that runs down to idle": Flight(
+        rpm=lambda at: [1200.0 if 30.0 <= at < 33.0 else 8000.0 * turning(at), *[8000.0 * turning(at)] * 3],
+        motors=one_motor(1, 0.15, 30.0, 33.0),
+    ),
     "all speeds lower at lower commands": Flight(
         rpm=lambda at: [8000.0 * (share / HOVER) ** 0.5 for share in one_motor(2, 0.1, 30.0, 33.0)(at)],
         motors=one_motor(2, 0.1, 30.0, 33.0),
@@ -174,7 +179,27 @@ def test_each_finding_is_first_where_it_is_the_cause(name: str, tmp_path: Path) 
 
 
 def test_every_finding_has_a_flight_that_shows_it() -> None:
-    assert {rule.name for rule in RULES} == {*CASES, *LEARNED, "log_ends_in_flight"}
+    assert {rule.name for rule in RULES} == {*CASES, *LEARNED, "log_ends_in_flight", "position_altered"}
+
+
+@pytest.mark.parametrize(
+    ("altered_m", "found"),
+    [
+        (between(30.0, 40.0, -7.0, 0.0), True),
+        (between(30.0, 30.9, 60.0, 0.0), False),
+        (between(30.0, 40.0, 8.0, 0.0), False),
+    ],
+    ids=["an attack", "a change of lane", "the other lane"],
+)
+def test_a_position_altered_behind_the_estimator_is_first(
+    altered_m: Callable[[float], float], found: bool, tmp_path: Path
+) -> None:
+    flight = Flight(north_m=lambda at: 20.0 * at, altered_m=altered_m)
+    review = rules_on(ardupilot_log(tmp_path / "flight.bin", flight))
+    assert names(review) == ["position_altered"] * found
+    assert [(one.judgement.start_s, "up to 7 m" in one.judgement.text) for one in review.findings] == [
+        (30.0, True)
+    ] * found
 
 
 @pytest.mark.parametrize("name", LOOK_ALIKES)

@@ -145,7 +145,7 @@ def judged(path: Path, facts: LogFacts, damage: Sequence[Damage] = ()) -> LogRev
             watched.append(rule.title)
     if facts.watch is not None:
         unjudged["A fault from take-off on"] = _taught(facts, facts.watch.until_s)
-    return LogReview(path, facts, tuple(_ordered(found)), tuple(watched), unjudged, tuple(damage))
+    return LogReview(path, facts, tuple(_ordered(found, facts)), tuple(watched), unjudged, tuple(damage))
 
 
 def _taught(facts: LogFacts, until_s: float) -> str:
@@ -175,20 +175,29 @@ def _lacking(rule: Rule, facts: LogFacts) -> Iterator[str]:
             yield f"{signal.origin} comes {signal.rate_hz:.2g} times a second; it takes {rule.least_hz:g} to tell"
 
 
-def _ordered(found: Sequence[tuple[Rule, Judgement]]) -> Iterator[ReviewFinding]:
+def _ordered(found: Sequence[tuple[Rule, Judgement]], facts: LogFacts) -> Iterator[ReviewFinding]:
     """Yield findings by time; of those that begin together, causes first."""
     by_time = sorted(found, key=lambda entry: entry[1].start_s)
     first = None
     heavy = [entry for entry in by_time if entry[1].weight != "information"]
     heavy = [entry for entry in heavy if entry[1].event] or heavy
     if heavy:
-        together = [entry for entry in heavy if entry[1].start_s - heavy[0][1].start_s <= _SAME_S]
+        same_s = _same_s(facts, heavy[0][0])
+        together = [entry for entry in heavy if entry[1].start_s - heavy[0][1].start_s <= same_s]
         first = min(together, key=lambda entry: (STAGES.index(entry[0].stage), entry[1].start_s))
     for rule, judgement in by_time:
         rank: Literal["first", "later", "throughout", ""] = "later" if judgement.event else "throughout"
         if first is not None and judgement is first[1]:
             rank = "first"
         yield ReviewFinding(rule, judgement, "" if judgement.weight == "information" else rank)
+
+
+def _same_s(facts: LogFacts, rule: Rule) -> float:
+    """Return within what time another thing may have come ahead of what a rule saw: two samples of its signals."""
+    slowest = max(
+        (1.0 / max(facts.signals[name].rate_hz, 1e-9) for name in rule.needs if name != "watch"), default=_SAME_S
+    )
+    return min(2.0 * slowest, _SAME_S)
 
 
 def _finding_json(finding: ReviewFinding) -> dict[str, Any]:

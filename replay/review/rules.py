@@ -21,6 +21,7 @@ from replay.review.findings import (
     motor_at_limit,
     motor_command_stopped,
     motors_stopped_in_air,
+    position_altered,
     sensor_effect,
     turned_over,
     vibration,
@@ -29,9 +30,9 @@ from replay.review.findings.rule import Rule
 
 RULES: Final[tuple[Rule, ...]] = tuple(
     finding.RULE for finding in (
-        commands_from_outside, landing_detected_in_air, motors_stopped_in_air, motor_command_stopped, battery_low,
-        log_ends_in_flight, esc_stopped, motor_at_limit, actuator_effect, descent_not_followed, turned_over,
-        attitude_not_followed, gps_lost, gps_stuck, sensor_effect, vibration, innovations_refused, estimator_reset,
-        failsafe,
+        commands_from_outside, position_altered, landing_detected_in_air, motors_stopped_in_air,
+        motor_command_stopped, battery_low, log_ends_in_flight, esc_stopped, motor_at_limit, actuator_effect,
+        descent_not_followed, turned_over, attitude_not_followed, gps_lost, gps_stuck, sensor_effect,
+        vibration, innovations_refused, estimator_reset, failsafe,
     )
 )  # fmt: skip

@@ -27,8 +27,9 @@ from replay.review.facts.log_facts import (
 
 TOPICS = frozenset(
     {
-        "ARM", "EV", "ERR", "MODE", "MSG", "PARM", "RCOU", "ATT", "BARO", "XKF1", "NKF1", "PSCD", "IMU", "BAT", "CURR",
-        "GPS", "XKF4", "NKF4", "VIBE", "MAVC", "VER", "ESC", *(f"ESC/{k}" for k in range(1, 12)),
+        "ARM", "EV", "ERR", "MODE", "MSG", "PARM", "RCOU", "ATT", "BARO", "PSC", "PSCN", "PSCE", "PSCD", "IMU", "BAT",
+        "CURR", "GPS", "XKF4", "NKF4", "VIBE", "MAVC", "VER", "ESC", *(f"ESC/{k}" for k in range(1, 12)),
+        *(f"{kalman}1{lane}" for kalman in ("XKF", "NKF") for lane in ("", "/1", "/2")),
     }
 )  # fmt: skip
 
@@ -82,6 +83,12 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     signals["height"] = get("BARO", ["Alt"], ["barometer"], "m").above_begin()
     kalman = "XKF" if ("XKF4", 0) in set(records.names()) else "NKF"
     signals["height_estimate"] = get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0).above_begin()
+    signals["position_flown"] = _position_flown(records, texts)
+    lanes = [lane for k in ("", "/1", "/2") if (lane := get(f"{kalman}1{k}", ["PN", "PE"], ["north", "east"], "m"))]
+    if lanes:
+        values = np.concatenate([lane.at(lanes[0].time_s) for lane in lanes], axis=1)
+        names = tuple(f"{axis} {k}" for k in range(len(lanes)) for axis in ("north", "east"))
+        signals["position_estimated"] = replace(lanes[0], values=values, names=names)
     # planes do not log when they take off
     received = get("GPS", ["Alt"], ["receiver"], "m").above_begin()
     lifted = off_ground(signals["height"], received)
@@ -130,6 +137,17 @@ def _outputs(records: LogRecords, numbers: Sequence[int]) -> LogSignal:
     names = [f"motor{k}" for k in numbers]
     known = (records.signal("RCOU", [f"{word}{k}" for k in numbers], names, "of full") for word in _OUTPUT_WORDS)
     return first_known(*known)
+
+
+def _position_flown(records: LogRecords, texts: Sequence[tuple[float, str]]) -> LogSignal:
+    """Return the position that the controller flies by; before 4.0 ArduPilot had centimetres under the same name."""
+    if any(" V3." in text for _, text in texts):
+        return NO_SIGNAL
+    north, east = (records.signal(f"PSC{axis}", [f"P{axis}"], [axis], "m") for axis in "NE")
+    both = np.concatenate([north.values, east.at(north.time_s)], axis=1) if east else np.empty((0, 2))
+    names = ("north", "east")
+    newer = replace(north, time_s=north.time_s[: len(both)], values=both, names=names, origin="PSCN, PSCE")
+    return first_known(newer, records.signal("PSC", ["PX", "PY"], names, "m"))
 
 
 def _rpm(records: LogRecords) -> LogSignal:

@@ -182,6 +182,8 @@ SIGNALS: Mapping[str, str] = {
     "battery": "voltage and current of the battery",
     "gps": "kind of fix and satellites",
     "position": "way north and east of where the log begins, as the receiver has it",
+    "position_flown": "way north and east of its origin that the controller flies by",
+    "position_estimated": "the same as each lane of the estimator has it",
     "ratios": "innovations over what the estimator admits (1: refused)",
     "resets": "how often the estimator set itself anew",
     "vibration": "level of vibration",

@@ -7,15 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import Floats, LogFacts, LogSignal, degrees_apart, spans_where
-from replay.review.findings.loss_of_control import FULL, lost_s, undisturbed
+from replay.review.findings.loss_of_control import FULL, IDLE, lost_s, undisturbed
 from replay.review.findings.rule import Judgement, Rule
 
 _APART_DEG = 30.0
 """ArduPilot's crash check has 30 degrees. Measured: in eleven healthy flights, some at full sticks and 60 degrees of
 tilt, the attitude is at most 24 degrees behind for half a second."""
-_IDLE = 0.4
-"""Share of its usual command below which the strongest motor idles. Measured in 24 public logs: idle ones have 0.08 to
-0.26 of it, those that fly 0.61 and more."""
 _APART_S = 0.5
 """Chosen: twice the time in which a multirotor rolls by its greatest angle."""
 
@@ -27,7 +24,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, motors: LogS
     # what came before the motors were stopped, and the tumbling itself; idle motors hold no attitude
     most = motors.at(times).max(axis=1)
     judged = facts.in_flight(times) & (times < end_s + _APART_S)
-    judged &= most > _IDLE * np.median(most[judged & np.isfinite(most)] if judged.any() else 0.0)
+    judged &= most > IDLE * np.median(most[judged & np.isfinite(most)] if judged.any() else 0.0)
     far = (apart > _APART_DEG).any(axis=1) & judged
     # what never followed has not stopped to: an estimator that does not know its attitude yet
     far &= np.logical_or.accumulate(judged & ~far)

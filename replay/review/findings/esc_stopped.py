@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts, LogSignal, spans_where
-from replay.review.findings.loss_of_control import in_control
+from replay.review.findings.loss_of_control import IDLE, in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _SLOW = 0.4
@@ -30,8 +30,10 @@ def _judge(facts: LogFacts, rpm: LogSignal, motors: LogSignal) -> Iterator[Judge
     # at one command all motors of a vehicle turn about as fast: the others say what is usual
     speed = rpm.values / np.sqrt(np.maximum(command, _COMMANDED))
     usual = float(np.median(speed[judged]))
+    carries = command > IDLE * np.median(command[judged])
     for k, name in enumerate(rpm.names):
-        slow = judged & (speed[:, k] < _SLOW * usual)
+        others_turn = np.median(np.delete(speed, k, axis=1), axis=1) > _SLOW * usual
+        slow = judged & carries[:, k] & others_turn & (speed[:, k] < _SLOW * usual)
         for start, end in spans_where(times, slow, _LEAST_S)[:1]:
             within = slow & (times >= start) & (times <= end)
             turned, asked = float(np.median(rpm.values[within, k])), float(np.median(command[within, k]))
@@ -55,7 +57,10 @@ RULE = Rule(
     physics="Thrust goes with the square of speed and about with command, so speed over the root of the command is the "
     "same for all motors of a vehicle. A stopped motor or ESC leaves it.",
     evidence="less than 40 % of the usual speed at that command for 0.6 s, in flight",
-    counter=("its command had not been taken to zero", "the other motors turned as usual, and were reported"),
+    counter=(
+        "its command had not been taken to zero, nor to idle: large propellers take seconds to run down to that",
+        "the other motors turned as usual, and were reported: at take-off all run up together",
+    ),
     needs=("rpm", "motors"),
     plots=("rpm", "motors", "attitude"),
     judge=_judge,

@@ -12,6 +12,9 @@ STOPPED = 0.02
 ArduPilot's SPIN_ARM is 0.1)."""
 FULL = 0.95
 """Share of full command: an autopilot leaves 5 % (MOT_SPIN_MAX 0.95)."""
+IDLE = 0.4
+"""Share of its usual command below which the strongest motor idles. Measured in 24 public logs: idle ones have 0.08 to
+0.26 of it, those that fly 0.61 and more."""
 _STOPPED_S = 0.4
 """Chosen: four samples of a log of default rates; a mixer that is saturated takes all motors to zero for less."""
 FELL_M = 2.0
