@@ -121,6 +121,11 @@ class Batch:
         yield from self.columns
         yield from self.others.values()
 
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of its messages."""
+        return frozenset(entry.name for entry in self.entries)
+
 
 def messages(batch: Batch) -> Iterator[Message]:
     """Yield the messages of a batch one by one, in the order of arrival."""

@@ -280,8 +280,7 @@ def survey_log(name: str, log: BatchSource, known: Identity | None = None) -> Su
 
     def chosen(batches: Iterable[Batch]) -> Iterator[Batch]:
         for batch in batches:
-            systems.update(columns.system for columns in batch.columns)
-            systems.update(message.system for message in batch.others.values())
+            systems.update(entry.system for entry in batch.entries)
             yield batch
 
     found = survey(chosen(of_one_vehicle(followed(log()))))

@@ -109,8 +109,7 @@ def play_batches(
         recorder = _recorder(stack, record, pipeline) if record is not None else None
         for batch in batches:
             count += batch.count
-            seen.update(group.name for group in batch.columns)
-            seen.update(message.name for message in batch.others.values())
+            seen |= batch.names
             if recorder is not None:
                 _record(recorder, pipeline, batch)
             outputs = pipeline.run(batch)

@@ -49,6 +49,7 @@ _SEARCHED = 64
 """Records among which to look first for the one where a state is due again; then among twice as many, and so on."""
 
 Integers = NDArray[np.int64]
+Floats = NDArray[np.float64]
 
 
 def telemetry(
@@ -145,14 +146,11 @@ class _Telemetry:
 
     def _count(self, batch: Batch) -> None:
         relevant = self._relevant
-        for columns in batch.columns:
-            if columns.name in relevant:
-                self._counts[columns.name] += len(columns.position)
-                self._examples[columns.name] = one_message(columns, 0).fields
-        for message in batch.others.values():
-            if message.name in relevant:
-                self._counts[message.name] += 1
-                self._examples[message.name] = message.fields
+        for entry in batch.entries:
+            if entry.name in relevant:
+                self._counts[entry.name] += len(entry.position) if isinstance(entry, Columns) else 1
+                first = one_message(entry, 0) if isinstance(entry, Columns) else entry
+                self._examples[entry.name] = first.fields
 
     def choose(self) -> None:
         """Decide for the messages that what was counted can fill."""
@@ -273,9 +271,8 @@ class _Series:
 
     position: Integers  # (n,)
     received_ns: Integers
-    # by field of the rule (n,): numbers as they are measured, or as the message carries them
+    # by field of the rule (n,): numbers as they are measured, NaN where there is none, or as the message carries them
     values: Mapping[str, NDArray[Any]]
-    known: Mapping[str, NDArray[np.bool_]]  # where there is a number (n,)
 
     def __len__(self) -> int:
         return len(self.position)
@@ -286,7 +283,6 @@ class _Series:
             self.position[index],
             self.received_ns[index],
             {name: values[index] for name, values in self.values.items()},
-            {name: known[index] for name, known in self.known.items()},
         )
 
     def followed_by(self, later: _Series) -> _Series:
@@ -295,7 +291,6 @@ class _Series:
             np.concatenate([self.position, later.position]),
             np.concatenate([self.received_ns, later.received_ns]),
             {name: np.concatenate([values, later.values[name]]) for name, values in self.values.items()},
-            {name: np.concatenate([known, later.known[name]]) for name, known in self.known.items()},
         )
 
 
@@ -393,19 +388,16 @@ class _Filler:
         values: dict[str, NDArray[Any]] = {}
         valid = np.ones(count, np.bool_)
         for field in self._own:
-            number, known = _values(field, records)
-            values[field.name] = self._stamped(field, _carried(field, number, known), records.received_ns)
+            number = _values(field, records)
+            values[field.name] = self._stamped(field, _carried(field, number), records.received_ns)
             if field.channel is not None and field.values is not None:
-                valid &= known
+                valid &= ~np.isnan(number)
         for topic, fields in self._held.items():
             row, held = self._newest(batch, topic, fields, records.position)
             for field in fields:
-                known = row >= 0
-                number = np.zeros(count)
-                if len(held):
-                    number, known = held.values[field.name][row], held.known[field.name][row] & known
-                values[field.name] = _carried(field, number, known)
-        return _Series(records.position + passed, records.received_ns, values, {}).rows(valid)
+                number = np.where(row >= 0, held.values[field.name][row], np.nan) if len(held) else _nothing(count)
+                values[field.name] = _carried(field, number)
+        return _Series(records.position + passed, records.received_ns, values).rows(valid)
 
     def _stamped(self, field: FieldRule, values: NDArray[Any], received_ns: Integers) -> NDArray[Any]:
         """Return a field's values (n,); of a stamp that is none of the log's clock, the record's time of arrival."""
@@ -465,12 +457,11 @@ class _Filler:
             left, right = pair[:, k, 0], pair[:, k, 1]
             rows = self._rows.get(topic)
             for field in fields:
-                number, known = np.zeros(len(made)), np.zeros(len(made), np.bool_)
+                number = _nothing(len(made))
                 if rows is not None and len(rows):
-                    number, known = _between(field, rows, left, right, made.received_ns)
-                    known &= left >= 0
-                values[field.name] = _carried(field, number, known)
-        return _Series(made.position, made.received_ns, values, {})
+                    number = np.where(left >= 0, _between(field, rows, left, right, made.received_ns), np.nan)
+                values[field.name] = _carried(field, number)
+        return _Series(made.position, made.received_ns, values)
 
     def _repeated(self, made: _Series, times_ns: Integers, passed: int) -> list[_Piece]:
         """Return a state again on each record that arrives so long after the state was sent last."""
@@ -617,61 +608,59 @@ class _Recorded:
 
 def _series(records: _Recorded, fields: Sequence[FieldRule]) -> _Series:
     """Return the values of some fields of records."""
-    columns = {field.name: _values(field, records) for field in fields}
-    return _Series(
-        records.position,
-        records.received_ns,
-        {name: values for name, (values, _) in columns.items()},
-        {name: known for name, (_, known) in columns.items()},
-    )
+    values = {field.name: _values(field, records) for field in fields}
+    return _Series(records.position, records.received_ns, values)
 
 
-def _values(field: FieldRule, records: _Recorded) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Return the numbers of a field (n,) in the message's unit, and where there are any (n,)."""
-    count = len(records.position)
-    nothing: tuple[NDArray[Any], NDArray[np.bool_]] = np.zeros(count), np.zeros(count, np.bool_)
+def _nothing(count: int) -> Floats:
+    """Return as many numbers that are not known."""
+    return np.full(count, np.nan)
+
+
+def _values(field: FieldRule, records: _Recorded) -> Floats:
+    """Return the numbers of a field (n,) in the message's unit, NaN where there are none."""
+    number = _nothing(len(records.position))
     if field.channel is None:
-        return nothing if field.constant is None else (np.full(count, field.constant), np.ones(count, np.bool_))
+        return number if field.constant is None else np.full(len(number), float(field.constant))
     values = records.at(field.channel.path)
     if field.values is not None:
-        number, known = nothing[0].astype(np.int64), nothing[1]
         if values is not None and values.ndim == 1 and values.dtype.kind in "biu":
             for raw in np.unique(values).tolist():
-                value = field.values.get(str(int(raw)))
-                if value is not None:
-                    number[values == raw], known[values == raw] = value, True
-        if field.otherwise is None or known.all():
-            return number, known
-        other, also = _values(field.otherwise, records)
-        return np.where(known, number, other), known | also
+                number[values == raw] = field.values.get(str(int(raw)), np.nan)
+        unlisted = np.isnan(number)
+        if field.otherwise is None or not unlisted.any():
+            return number
+        return np.where(unlisted, _values(field.otherwise, records), number)
+    if values is None:
+        return number
     if field.angle is not None:
-        return nothing if values is None else _angle(values, field.angle)
-    if values is None or values.ndim > 1 or values.dtype.kind == "b":
-        return nothing
+        return _angle(values, field.angle)
+    if values.ndim > 1 or values.dtype.kind == "b":
+        return number
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = field.channel.scale * values.astype(np.float64) + field.channel.offset
-    return scaled, np.abs(scaled) <= MAX_VALUE
+    return np.where(np.abs(scaled) <= MAX_VALUE, scaled, np.nan)
 
 
-def _angle(quaternion: NDArray[Any], which: Angle) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _angle(quaternion: NDArray[Any], which: Angle) -> Floats:
     """Return an angle of rotations (n, 4) from body (x ahead, z down) to earth axes, radians."""
-    count = len(quaternion)
     if quaternion.ndim != 2 or quaternion.shape[1] != 4 or quaternion.dtype.kind != "f":
-        return np.zeros(count), np.zeros(count, np.bool_)
+        return _nothing(len(quaternion))
     known = (np.abs(quaternion) < _LARGEST_QUATERNION).all(axis=1)
-    w, x, y, z = np.where(known[:, None], quaternion, 0.0).astype(np.float64).T
+    parts: Floats = np.where(known[:, None], quaternion, np.nan).astype(np.float64)
+    w, x, y, z = parts.T
     if which == "roll":
-        return np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)), known
-    if which == "yaw":
-        return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)), known
-    return np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)), known
+        angle = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    elif which == "yaw":
+        angle = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    else:
+        angle = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    return np.asarray(angle, np.float64)
 
 
-def _between(
-    field: FieldRule, rows: _Series, left: Integers, right: Integers, time_ns: Integers
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _between(field: FieldRule, rows: _Series, left: Integers, right: Integers, time_ns: Integers) -> Floats:
     """Return values at times (n,) from those on either side, the shorter way round where they wrap."""
-    values, known = rows.values[field.name], rows.known[field.name]
+    values = rows.values[field.name]
     left_ns, right_ns = rows.received_ns[left], rows.received_ns[right]
     before, after = values[left], values[right]
     period = tau if field.angle else field.channel.period if field.channel is not None else None
@@ -682,31 +671,25 @@ def _between(
             step = (step + 0.5 * period) % period - 0.5 * period
         number = before + step * (time_ns - left_ns) / span_ns
     # exactly on a record its value counts, whatever the other one is
-    on_left, on_right = time_ns == left_ns, time_ns == right_ns
-    number = np.where(on_left, before, np.where(on_right, after, number))
-    there = np.where(on_left, known[left], np.where(on_right, known[right], known[left] & known[right]))
-    return number, there
+    return np.where(time_ns == left_ns, before, np.where(time_ns == right_ns, after, number))
 
 
-def _carried(field: FieldRule, values: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
+def _carried(field: FieldRule, values: Floats) -> NDArray[Any]:
     """Return numbers as the message carries them, whole numbers to the nearest; unknown where one does not fit."""
     code = field.code
     dtype = np.dtype(f"<{code}")
     if code in "fd":
-        with np.errstate(over="ignore", invalid="ignore"):
-            carried = values.astype(np.float64).astype(dtype)
-        fits = np.isfinite(carried) | ~np.isfinite(values)
+        with np.errstate(over="ignore"):
+            carried = values.astype(dtype)
+        fits = np.isfinite(carried)
     else:
-        whole = values
-        if values.dtype.kind == "f":
-            period = None if field.channel is None or code.islower() else field.channel.period
-            with np.errstate(invalid="ignore"):
-                whole = np.rint(values if period is None else values % period)
+        period = None if field.channel is None or code.islower() else field.channel.period
+        whole = np.rint(values if period is None else values % period)
         limits = np.iinfo(dtype)
         # of a float the largest number below the limit is meant: 2^64 - 1 is none
         fits = (whole >= limits.min) & (whole <= limits.max) & (whole < float(limits.max) + 1.0)
-        carried = np.where(fits & known, whole, 0).astype(dtype)
-    return np.where(known & fits, carried, np.array(field.unknown, dtype))
+        carried = np.where(fits, whole, 0).astype(dtype)
+    return np.where(fits, carried, np.array(field.unknown, dtype))
 
 
 def _first_state(
@@ -721,9 +704,10 @@ def _first_state(
         for k, rule in enumerate(rules):
             records = _Recorded.of(batch, rule.topic)
             for field in rule.fields:
-                number, known = _values(field, records)
                 if field.before:
-                    starts += [(int(records.position[row]), k, int(number[row])) for row in np.flatnonzero(known)[:1]]
+                    number = _values(field, records)
+                    known = np.flatnonzero(~np.isnan(number))
+                    starts += [(int(records.position[row]), k, int(number[row])) for row in known[:1]]
         if starts:
             _, k, value = min(starts)
             return rules[k], value

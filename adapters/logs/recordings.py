@@ -107,6 +107,11 @@ def session_files(folder: str | os.PathLike[str]) -> list[Path]:
     return files
 
 
+def _files(path: str | os.PathLike[str]) -> list[Path]:
+    """Return a recording's files."""
+    return session_files(path) if Path(path).is_dir() else [Path(path)]
+
+
 class Recording:
     """The messages of a recording in the order they arrived, and then what of it could not be read.
 
@@ -140,7 +145,7 @@ class Recording:
     ) -> None:
         self._kind = recording_kind(path)
         self._tables = _tables(path, mapping)
-        self._files = session_files(path) if Path(path).is_dir() else [Path(path)]
+        self._files = _files(path)
         self._only = only
         self._types = types
         self._damage: list[Damage] = []
@@ -184,16 +189,18 @@ class Recording:
         """Return what a copy is made of: records of MCAP with schema, bytes and times as they are, else messages."""
         if self._kind != "mcap":
             return self._read(self._only, BATCH_MESSAGES)
-        return self._through(lambda file: _open_entries(file, self._only))
+        from adapters.logs.mcap_reader import MessageLogReader
+
+        readers = ((file, MessageLogReader(file, self._only)) for file in self._files)
+        return self._through((file, reader.records(), reader.damage) for file, reader in readers)
 
     def _read(self, only: Collection[str] | None, count: int) -> Iterator[Batch]:
-        return self._through(lambda file: _open(self._kind, file, only, count, self._types))
+        return self._through((file, *_open(self._kind, file, only, count, self._types)) for file in self._files)
 
-    def _through(self, opened: Callable[[Path], tuple[Iterable[T], Callable[[], Damage | None]]]) -> Iterator[T]:
+    def _through(self, opened: Iterable[tuple[Path, Iterable[T], Callable[[], Damage | None]]]) -> Iterator[T]:
         """Yield what the files hold, one file after the other, and keep what of them could not be read."""
         unread = 0
-        for file in self._files:
-            items, damage = opened(file)
+        for file, items, damage in opened:
             try:
                 yield from items
             except TelemetryError as error:
@@ -222,14 +229,6 @@ def _open(
     module, name = _SCANNERS[kind]
     reader = getattr(import_module(module), name)(file, only, read_ahead_bytes=count * _TYPICAL_RECORD_BYTES)
     return reader, lambda: scan_damage(file.name, reader.statistics())
-
-
-def _open_entries(file: Path, only: Collection[str] | None) -> tuple[Iterable[Record], Callable[[], Damage | None]]:
-    """Return the records of an MCAP file, and what says afterwards what is missing."""
-    from adapters.logs.mcap_reader import MessageLogReader
-
-    mcap = MessageLogReader(file, only)
-    return mcap.records(), mcap.damage
 
 
 def _tables(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | None) -> LogMapping | None:
@@ -283,7 +282,7 @@ def recorded_alarms(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     from adapters.logs.mcap_reader import MessageLogReader
 
     alarms = []
-    for file in session_files(path) if Path(path).is_dir() else [Path(path)]:
+    for file in _files(path):
         with contextlib.suppress(TelemetryError):
             for payload in MessageLogReader(file).payloads(ALARM_TOPIC):
                 with contextlib.suppress(ValueError):
@@ -297,7 +296,7 @@ def recorded_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
         return {}
     from adapters.logs.mcap_reader import read_mcap_metadata
 
-    for file in session_files(path) if Path(path).is_dir() else [Path(path)]:
+    for file in _files(path):
         with contextlib.suppress(TelemetryError):
             return read_mcap_metadata(file, ahead_only=True).get("fauio", {})
     return {}

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.errors import FauioError, UsageError
-from adapters.logs.mcap_reader import read_mcap_messages
-from adapters.logs.recordings import Recording
+from adapters.logs.recordings import read_batches
 from adapters.output_file import write_file
 from adapters.simulation.arm import SCENARIOS
 from adapters.zenoh.zenoh_session import open_session
@@ -39,7 +38,7 @@ from monitor.views.panels import RunView
 from monitor.views.rerun_view import write_rrd
 from monitor.views.way import WAY_MESSAGES, way_of
 from replay.demonstration.arm_profile import write_arm_profile
-from replay.player import Replay, play
+from replay.player import Replay, play_batches
 from replay.reports.plot import plot_png
 
 if TYPE_CHECKING:
@@ -90,27 +89,26 @@ def demo(vehicle: str, out: Path, speed: float | None, console: bool = False) ->
     With ``console`` a web page shows it, until it is interrupted.
     """
     out.mkdir(parents=True, exist_ok=True)
-    with _arm_scene(out) if vehicle == "arm" else _copter_scene() as scene:
-        pace = speed or (1.0 if console else 2.0 if vehicle == "arm" else 4.0)
-        _say(scene.title)
-        record = out / f"{vehicle}.mcap"
-        events = _run_live(scene, record, pace, _monitor_config(out) if console else None)
-        replayed = play(read_profile(scene.profile), read_mcap_messages(record), keep_traces=True)
-        curves = {truth.channel: _true_course(truth, replayed.traces[0]) for truth in scene.truth}
-        way = way_of(Recording(record, WAY_MESSAGES).batches())
-        shown = RunView(replayed.traces, replayed.events, replayed.thresholds, curves, way=way)
-        plot_png(out / f"{vehicle}.png", shown, scene.title)
-        write_rrd(out / f"{vehicle}.rrd", shown)
+    scene = _arm_scene(out) if vehicle == "arm" else _copter_scene()
+    pace = speed or (1.0 if console else 2.0 if vehicle == "arm" else 4.0)
+    _say(scene.title)
+    record = out / f"{vehicle}.mcap"
+    events = _run_live(scene, record, pace, _monitor_config(out) if console else None)
+    replayed = play_batches(read_profile(scene.profile), read_batches(record), keep_traces=True)
+    curves = {truth.channel: _true_course(truth, replayed.traces[0]) for truth in scene.truth}
+    way = way_of(read_batches(record, WAY_MESSAGES))
+    shown = RunView(replayed.traces, replayed.events, replayed.thresholds, curves, way=way)
+    plot_png(out / f"{vehicle}.png", shown, scene.title)
+    write_rrd(out / f"{vehicle}.rrd", shown)
     return _report(scene, events, replayed, out, vehicle)
 
 
-@contextlib.contextmanager
-def _arm_scene(out: Path) -> Iterator[DemoScene]:
+def _arm_scene(out: Path) -> DemoScene:
     _say("designing the arm's observer and calibrating its alarms ...")
     profile = out / "arm-profile"
     write_arm_profile(profile)
     names = {"f_a": "motor", "f_s": "encoder"}
-    yield DemoScene(
+    return DemoScene(
         title="A flexible-joint arm, disturbed; its motor gets 2 N m too much, later its encoder reads 2 rad off.",
         profile=profile,
         sender=lambda address, pace: [
@@ -124,9 +122,8 @@ def _arm_scene(out: Path) -> Iterator[DemoScene]:
     )
 
 
-@contextlib.contextmanager
-def _copter_scene() -> Iterator[DemoScene]:
-    yield DemoScene(
+def _copter_scene() -> DemoScene:
+    return DemoScene(
         title="A recorded flight of a quadcopter in gusts; its motor 1 loses 5 % of its command for 50 s.",
         profile=_DATA / "quad",
         sender=lambda address, pace: [

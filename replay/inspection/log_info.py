@@ -139,8 +139,7 @@ class _Tally:
     def watch(self, batches: Iterable[Batch]) -> Iterator[Batch]:
         """Yield the messages of the vehicle that a fit would take, and note which it is."""
         for batch in of_one_vehicle(batches):
-            senders: list[Columns | Message] = [*batch.columns, *batch.others.values()]
-            self.watched = next((sender.system for sender in senders if sender.source is MAVLINK), self.watched)
+            self.watched = next((entry.system for entry in batch.entries if entry.source is MAVLINK), self.watched)
             yield batch
 
 

@@ -88,14 +88,12 @@ class RecordingMeter:
     def watch(self, batches: Iterable[Batch]) -> Iterator[Batch]:
         """Yield the batches, and measure their messages."""
         for batch in batches:
-            times: dict[StreamKey, list[int]] = {}
-            for message in batch.others.values():
-                key = message.source, message.name, message.system, message.component
-                times.setdefault(key, []).append(message.received_ns)
-            for columns in batch.columns:
-                self._stream((columns.source, columns.name, columns.system, columns.component)).add(columns.received_ns)
+            times: dict[StreamKey, list[NDArray[np.int64]]] = {}
+            for entry in batch.entries:
+                key = entry.source, entry.name, entry.system, entry.component
+                times.setdefault(key, []).append(np.atleast_1d(entry.received_ns))
             for key, received_ns in times.items():
-                self._stream(key).add(np.array(received_ns, np.int64))
+                self._streams.setdefault(key, _Stream()).add(np.concatenate(received_ns))
             yield batch
 
     def facts(self) -> RecordingFacts:
@@ -109,9 +107,6 @@ class RecordingMeter:
                 for key, stream in streams
             ),
         )
-
-    def _stream(self, key: StreamKey) -> _Stream:
-        return self._streams.setdefault(key, _Stream())
 
 
 class _Stream:

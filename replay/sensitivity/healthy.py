@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, cut, gathered, joined, messages, one_message, pack
+from adapters.batch import Batch, chosen, cut, joined, messages, one_message, pack
 from adapters.errors import OtherVehicleError
 from adapters.message import Message
 from monitor.core.sampling import VehicleClock, sample_batch
@@ -41,8 +41,7 @@ class TrialWindow(NamedTuple):
     @property
     def names(self) -> frozenset[str]:
         """Names of all of them."""
-        lead = [columns.name for columns in self.lead.columns] + [other.name for other in self.lead.others.values()]
-        return frozenset((*lead, *(message.name for message in self.tail)))
+        return self.lead.names.union(message.name for message in self.tail)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +70,7 @@ class Healthy:
     @property
     def names(self) -> frozenset[str]:
         """Names of its messages."""
-        columns = frozenset(columns.name for batch in self.batches for columns in batch.columns)
-        return columns | {message.name for batch in self.batches for message in batch.others.values()}
+        return frozenset().union(*(batch.names for batch in self.batches))
 
     def window(self, start_ns: int, onset_ns: int, stop_ns: int) -> TrialWindow:
         """Return the messages of a stretch, led by the newest ones before it that tell the phase of flight."""
@@ -114,13 +112,7 @@ def play_healthy(profile: Profile, recorded: Iterable[Batch]) -> Healthy:
                 alarms_ns.append(output.vehicle_time_ms * 1_000_000)
     estimated = {name: runs for name, runs in estimates.items() if runs}
     system = pipeline.system
-    own = [
-        gathered(
-            [columns for columns in batch.columns if columns.system == system],
-            {at: message for at, message in batch.others.items() if message.system == system},
-        )
-        for batch in batches
-    ]
+    own = [chosen(batch, lambda entry: entry.system == system) for batch in batches]
     return Healthy(
         batches=own,
         newest_ns=_newest_ns(profile, own),
