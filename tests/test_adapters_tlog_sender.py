@@ -39,7 +39,9 @@ def contents(messages: list[Message]) -> list[tuple[str, int, str]]:
 def test_renumbered_packets_lack_none(port: int) -> None:
     expected = contents(list(read_tlog(FLIGHT)))
     with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
-        sender = threading.Thread(target=send_tlog, args=(FLIGHT, "127.0.0.1", port, 10.0), kwargs={"renumber": True})
+        sender = threading.Thread(
+            target=send_tlog, args=(FLIGHT, f"udp:127.0.0.1:{port}", 10.0), kwargs={"renumber": True}
+        )
         sender.start()
         received: list[Message] = []
         while len(received) < len(expected):
@@ -52,7 +54,7 @@ def test_renumbered_packets_lack_none(port: int) -> None:
 def test_a_link_receives_what_the_log_holds(port: int) -> None:
     expected = contents(list(read_tlog(FLIGHT)))
     with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
-        sender = threading.Thread(target=send_tlog, args=(FLIGHT, "127.0.0.1", port, 10.0))
+        sender = threading.Thread(target=send_tlog, args=(FLIGHT, f"udp:127.0.0.1:{port}", 10.0))
         sender.start()
         received: list[Message] = []
         while len(received) < len(expected):
@@ -65,7 +67,7 @@ def test_a_part_of_the_log_is_sent(port: int) -> None:
     first = next(iter(read_tlog(FLIGHT))).received_ns
     part = [m for m in read_tlog(FLIGHT) if 1.0 <= (m.received_ns - first) / 1e9 < 1.5]
     with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
-        assert send_tlog(FLIGHT, "127.0.0.1", port, 50.0, start_s=1.0, stop_s=1.5) == len(part)
+        assert send_tlog(FLIGHT, f"udp:127.0.0.1:{port}", 50.0, start_s=1.0, stop_s=1.5) == len(part)
         received: list[Message] = []
         while len(received) < len(part):
             received += [*each(link.receive(0.2))]
@@ -93,8 +95,8 @@ def test_another_process_sends_from_the_command_line(port: int) -> None:
 
 
 def test_the_demonstrations_flight_is_sent(port: int) -> None:
-    with _copter_scene() as scene, MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
-        sender = subprocess.Popen(scene.sender(f"127.0.0.1:{port}", 50.0), cwd=ROOT, stderr=subprocess.PIPE)
+    with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
+        sender = subprocess.Popen(_copter_scene().sender(f"127.0.0.1:{port}", 50.0), cwd=ROOT, stderr=subprocess.PIPE)
         received: list[Message] = []
         while len(received) < 100:
             assert sender.poll() is None
@@ -121,4 +123,4 @@ def test_what_cannot_be_sent_is_reported_in_one_line(args: list[str], capsys: py
 
 def test_an_unknown_host_is_reported() -> None:
     with pytest.raises(TelemetryError, match="cannot be resolved"):
-        send_tlog(FLIGHT, "no-such-host.invalid", 9)
+        send_tlog(FLIGHT, "udp:no-such-host.invalid:9")

@@ -18,7 +18,7 @@ from loopback import until
 
 import fauio
 from monitor.profile import read_profile
-from replay.runs.many_logs import profile_of, replay_in_processes
+from replay.runs.many_logs import replay_in_processes
 from replay.runs.one_log import LogTask
 
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
@@ -73,7 +73,7 @@ def test_a_process_that_dies_fails_its_log_alone(data: Path) -> None:
     tasks = [LogTask(log.name, log) for log in logs]
     killed = threading.Thread(target=kill_first_child)
     killed.start()
-    outcomes = list(replay_in_processes(read_profile(QUAD).files, tasks, 2))
+    outcomes = list(replay_in_processes(read_profile(QUAD), tasks, 2))
     killed.join()
     assert [outcome.log for outcome in outcomes] == [log.name for log in logs]
     [failed] = [outcome for outcome in outcomes if outcome.error is not None]
@@ -84,11 +84,6 @@ def test_a_process_that_dies_fails_its_log_alone(data: Path) -> None:
 def kill_first_child() -> None:
     until(lambda: bool(active_children()))
     os.kill(active_children()[0].pid or 0, signal.SIGKILL)
-
-
-def test_a_profile_is_the_same_wherever_its_files_come_from() -> None:
-    profile = read_profile(QUAD)
-    assert profile_of(profile.files).digest == profile.digest
 
 
 def test_an_interrupt_ends_all_processes(flights: Path, data: Path) -> None:

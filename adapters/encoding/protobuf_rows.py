@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,7 @@ _LONGEST_VARINT = 10
 """64 bits in groups of seven."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Number:
+class _Number(NamedTuple):
     """Type of a kind of number in arrays, and its wire type."""
 
     dtype: np.dtype[np.generic]
@@ -143,16 +142,13 @@ class _Cursor:
 _UINT64 = _Number(np.dtype(np.uint64), _VARINT)
 # By type of field, as numbered in google/protobuf/descriptor.proto.
 _NUMBERS = {
-    field_type: _Number(np.dtype(dtype), wire)
-    for field_type, dtype, wire in (
-        (1, "<f8", _FIXED_64),
-        (2, "<f4", _FIXED_32),
-        (3, np.int64, _VARINT),
-        (4, np.uint64, _VARINT),
-        (5, np.int32, _VARINT),
-        (8, np.bool_, _VARINT),
-        (13, np.uint32, _VARINT),
-    )
+    1: _Number(np.dtype("<f8"), _FIXED_64),
+    2: _Number(np.dtype("<f4"), _FIXED_32),
+    3: _Number(np.dtype(np.int64), _VARINT),
+    4: _UINT64,
+    5: _Number(np.dtype(np.int32), _VARINT),
+    8: _Number(np.dtype(np.bool_), _VARINT),
+    13: _Number(np.dtype(np.uint32), _VARINT),
 }
 
 

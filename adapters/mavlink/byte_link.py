@@ -133,6 +133,20 @@ def resolve(url: str, host_port: str) -> Address:
     return family, address
 
 
+def udp_address(url: str, said: str = "") -> Address:
+    """Return the address to send datagrams to of ``udp:HOST:PORT``; ``udpout:`` is the same.
+
+    Raises
+    ------
+    TelemetryError
+        As of :func:`resolve`; the message starts with what was ``said``, by default ``url``.
+    """
+    kind, _, where = url.partition(":")
+    if kind not in ("udp", "udpout"):
+        raise TelemetryError(f"{said or url}: use udp:HOST:PORT")
+    return resolve(said or url, where)
+
+
 def _bound(url: str, address: Address, kind: socket.SocketKind) -> socket.socket:
     listener = socket.socket(address[0], kind)
     try:

@@ -17,7 +17,7 @@ from typing import Any
 
 from adapters.batch import messages
 from adapters.errors import TelemetryError
-from adapters.mavlink.byte_link import resolve
+from adapters.mavlink.byte_link import udp_address
 from adapters.mavlink.heartbeat import ARMED, AUTOPILOT
 from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
 from adapters.mavlink.packets import PacketList, PacketScanner
@@ -89,10 +89,7 @@ def arm_payloads(run: ArmRun) -> Iterator[tuple[int, bytes]]:
 
 def send_arm(run: ArmRun, url: str, speed: float = 1.0) -> int:
     """Send the run as MAVLink to ``udpout:HOST:PORT``, at so many times real time; return the number of packets."""
-    kind, _, where = url.partition(":")
-    if kind not in ("udp", "udpout"):
-        raise TelemetryError(f"{url}: the arm sends over UDP only; use udpout:HOST:PORT")
-    family, address = resolve(url, where)
+    family, address = udp_address(url)
     count = 0
     with socket.socket(family, socket.SOCK_DGRAM) as out:
         for packet in paced(arm_packets(run), speed):

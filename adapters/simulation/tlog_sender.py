@@ -8,17 +8,16 @@ import socket
 import sys
 from collections.abc import Iterator, Sequence
 
-from adapters.errors import FauioError, TelemetryError
+from adapters.errors import FauioError
 from adapters.logs.tlog import TlogReader
-from adapters.mavlink.byte_link import resolve
+from adapters.mavlink.byte_link import udp_address
 from adapters.mavlink.mavlink_message import MAGIC_2, mavlink_types, message_number, packet_sender, packet_signed
 from adapters.simulation.pacing import paced
 
 
 def send_tlog(
     path: str | os.PathLike[str],
-    host: str,
-    port: int,
+    url: str,
     speed: float = 1.0,
     *,
     start_s: float = 0.0,
@@ -27,15 +26,17 @@ def send_tlog(
 ) -> int:
     """Send a log's packets, byte for byte, one per datagram, at so many times real time; return their number.
 
+    They go to ``udp:HOST:PORT``.
+
     ``start_s`` and ``stop_s`` name the part of the log to send, seconds after its first packet. With ``renumber``
     packets count on from each other: what was left out of the log on purpose is not lost on the link.
 
     Raises
     ------
     TelemetryError
-        The log cannot be read, the host is not known, or the speed is not positive.
+        The log cannot be read, the URL is not understood, or the speed is not positive.
     """
-    family, address = resolve(f"udp:{host}:{port}", f"{host}:{port}")
+    family, address = udp_address(url)
     count = 0
     with socket.socket(family, socket.SOCK_DGRAM) as out:
         packets = _part(path, start_s, stop_s)
@@ -81,14 +82,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--stop", type=float, metavar="S", help="second to stop at")
     parser.add_argument("--renumber", action="store_true", help="give packets consecutive sequence numbers")
     args = parser.parse_args(argv)
-    kind, _, where = args.to.partition(":")
-    host, _, port = where.rpartition(":")
     try:
-        if kind not in ("udp", "udpout") or not port.isdecimal():
-            raise TelemetryError(f"{args.to}: use udp:HOST:PORT")
-        count = send_tlog(
-            args.log, host, int(port), args.speed, start_s=args.start, stop_s=args.stop, renumber=args.renumber
-        )
+        count = send_tlog(args.log, args.to, args.speed, start_s=args.start, stop_s=args.stop, renumber=args.renumber)
     except FauioError as error:
         print(f"tlog_sender: {error}", file=sys.stderr)  # noqa: T201 - the command line speaks here
         return error.exit_status

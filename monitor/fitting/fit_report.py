@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gains.identification.excitation import ExcitationVerdict
 from gains.identification.residuals import ResidualStatistics
 from monitor.views.palette import GREY, LIGHT
-from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
+from monitor.views.plot_style import picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,14 +86,8 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title: str) -> None:
     """Draw prediction against measurement, residual and its autocorrelation, one row for each output."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     count = len(comparison.names)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, OUTPUT_IN * count + 0.9), dpi=DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+    with picture(path, OUTPUT_IN * count + 0.9) as figure:
         grid = figure.add_gridspec(2 * count, 2, width_ratios=[3.2, 1.0], height_ratios=[2.0, 1.0] * count)
         series: list[Axes] = []
         for i in range(count):
@@ -105,7 +99,6 @@ def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title:
         figure.align_ylabels(series)
         handles, labels = series[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), title=title, alignment="left")
-        save_small(figure, path)
 
 
 def _draw_series(figure: Any, grid: GridSpec, comparison: Comparison, i: int, shared: Axes | None) -> tuple[Axes, Axes]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -35,6 +37,20 @@ STYLE: dict[str, Any] = {
     "figure.constrained_layout.h_pad": 0.03,
     "figure.constrained_layout.w_pad": 0.08,
 }
+
+
+@contextmanager
+def picture(path: str | os.PathLike[str], height_in: float) -> Iterator[Figure]:
+    """Yield an empty figure of this height, inches; it is written as a PNG when everything is drawn."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure
+        save_small(figure, path)
 
 
 def save_small(figure: Figure, path: str | os.PathLike[str]) -> None:

@@ -17,7 +17,7 @@ from adapters.batch import Batch, arrival_times, cut
 from adapters.errors import UsageError
 from adapters.logs.recordings import read_batches, recording_kind
 from adapters.logs.tlog import TlogReader
-from adapters.mavlink.byte_link import Address, resolve
+from adapters.mavlink.byte_link import Address, udp_address
 from adapters.simulation.pacing import paced
 from monitor.bus.keys import alarm_key, vehicle_root
 from monitor.event import AlarmEvent
@@ -42,8 +42,8 @@ class LiveReplay:
 
     ``speed`` is in times real time, by the times of arrival; None: as fast as possible. Without Zenoh endpoints to
     connect to or to listen on nothing is published. Packets of telemetry logs go to ``udp``, ``udp:HOST:PORT``;
-    ``on_event`` is called with each event when it is published. Raises UsageError where the speed is not positive, an
-    address is not understood, or the Zenoh session cannot be opened.
+    ``on_event`` is called with each event when it is published. Raises UsageError where the speed is not positive,
+    TelemetryError where an address is not understood or the Zenoh session cannot be opened.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class LiveReplay:
         self._to: Address | None = None
         with ExitStack() as stack:
             if udp is not None:
-                self._to = _address(udp)
+                self._to = udp_address(udp, f"--udp {udp}")
                 self._socket = stack.enter_context(socket.socket(self._to[0], socket.SOCK_DGRAM))
             if connect or listen:
                 from adapters.zenoh.zenoh_session import open_session
@@ -159,10 +159,3 @@ def _since(received_ns: int) -> Callable[[], int]:
     """Return a clock that shows this time of arrival now: what it says later is how long the monitor took."""
     started_ns = time.monotonic_ns()
     return lambda: received_ns + time.monotonic_ns() - started_ns
-
-
-def _address(url: str) -> Address:
-    kind, _, rest = url.partition(":")
-    if kind not in ("udp", "udpout"):
-        raise UsageError(f"--udp {url}: use udp:HOST:PORT")
-    return resolve(f"--udp {url}", rest)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import signal
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from adapters.errors import TelemetryError, UsageError
-from monitor.profile import Profile, read_profile
+from monitor.profile import Profile
 from replay.runs.one_log import LogOutcome, LogTask, replay_log
 
 _CONNECT_S = 10
@@ -23,13 +20,9 @@ _LEAST_AHEAD = 64
 """Chosen: tasks that are handed out before the first is done, so that no core waits for the network."""
 _AHEAD_PER_CORE = 8
 """Chosen: a log takes about a second; eight of them hide the latency of handing out more."""
-_KEPT_PROFILES = 4
-"""Profiles that a worker keeps read. Chosen: several replays may share a cluster."""
-
-Files = tuple[tuple[str, bytes], ...]
 
 
-def replay_on_dask(files: Mapping[str, bytes], tasks: Sequence[LogTask], address: str) -> Iterator[LogOutcome]:
+def replay_on_dask(profile: Profile, tasks: Sequence[LogTask], address: str) -> Iterator[LogOutcome]:
     """Replay logs on the cluster of a scheduler, and return what was found in the order of the logs.
 
     Workers need this package in the same version and the paths of the tasks, which are absolute, and share nothing
@@ -48,29 +41,24 @@ def replay_on_dask(files: Mapping[str, bytes], tasks: Sequence[LogTask], address
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise TelemetryError(f"--dask {address}: no cluster answers there: {reason}") from error
-    sent: Files = tuple(sorted(files.items()))
     waiting: deque[tuple[LogTask, Any]] = deque()
     with client:
         ahead = max(_LEAST_AHEAD, _AHEAD_PER_CORE * sum(client.ncores().values()))
+        # sent once, and again to whoever takes the place of a worker that died
+        sent = client.submit(_sent, profile, pure=False)
         try:
             for task in tasks:
                 if len(waiting) >= ahead:
                     yield _outcome(*waiting.popleft())
-                waiting.append((task, client.submit(replay_sent, sent, task, pure=False)))
+                waiting.append((task, client.submit(replay_log, sent, task, pure=False)))
             while waiting:
                 yield _outcome(*waiting.popleft())
         finally:
             client.cancel([future for _, future in waiting], force=True)
 
 
-def replay_sent(files: Files, task: LogTask) -> LogOutcome:
-    """Replay a log on a worker."""
-    return replay_log(_profile(files), task)
-
-
-@functools.lru_cache(_KEPT_PROFILES)
-def _profile(files: Files) -> Profile:
-    return profile_of(dict(files))
+def _sent(profile: Profile) -> Profile:
+    return profile
 
 
 def _outcome(task: LogTask, future: Any) -> LogOutcome:
@@ -86,12 +74,12 @@ def _outcome(task: LogTask, future: Any) -> LogOutcome:
 AHEAD = 256
 
 
-def replay_in_processes(files: Mapping[str, bytes], tasks: Sequence[LogTask], jobs: int) -> Iterator[LogOutcome]:
+def replay_in_processes(profile: Profile, tasks: Sequence[LogTask], jobs: int) -> Iterator[LogOutcome]:
     """Replay logs in processes, and return what was found in the order of the logs.
 
     A process that dies fails its log alone. When the iteration ends, however it ends, so do all processes.
     """
-    workers = [_Worker(files) for _ in range(min(jobs, len(tasks)))]
+    workers = [_Worker(profile) for _ in range(min(jobs, len(tasks)))]
     done: dict[int, LogOutcome] = {}
     given = yielded = 0
     try:
@@ -106,21 +94,13 @@ def replay_in_processes(files: Mapping[str, bytes], tasks: Sequence[LogTask], jo
                 at, outcome = worker.take()
                 done[at] = outcome
                 if not worker.alive:
-                    workers[workers.index(worker)] = _Worker(files)
+                    workers[workers.index(worker)] = _Worker(profile)
             while yielded in done:
                 yield done.pop(yielded)
                 yielded += 1
     finally:
         for worker in workers:
             worker.end()
-
-
-def profile_of(files: Mapping[str, bytes]) -> Profile:
-    """Return the profile that files make up; raise ProfileError as :func:`monitor.profile.read_profile` does."""
-    with TemporaryDirectory(prefix="fauio-") as folder:
-        for name, content in files.items():
-            (Path(folder) / name).write_bytes(content)
-        return read_profile(folder)
 
 
 @contextlib.contextmanager
@@ -142,14 +122,14 @@ class _Worker:
     ``alive`` says whether it can take another.
     """
 
-    def __init__(self, files: Mapping[str, bytes]) -> None:
+    def __init__(self, profile: Profile) -> None:
         # spawned, not forked: whatever runs in this process does not run in that one
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.at: int | None = None
         self.alive = True
         self._log = ""
-        self._process = context.Process(target=_work, args=(theirs, dict(files)), daemon=True)
+        self._process = context.Process(target=_work, args=(theirs, profile), daemon=True)
         with deaf_to_interrupts():
             self._process.start()
         # what is left open here would hide the end of the process
@@ -185,9 +165,8 @@ class _Worker:
         self._process.join()
 
 
-def _work(connection: Connection, files: Mapping[str, bytes]) -> None:
+def _work(connection: Connection, profile: Profile) -> None:
     """Replay the logs that come, until no more can."""
-    profile = profile_of(files)
     with contextlib.suppress(EOFError, OSError):
         while True:
             connection.send(replay_log(profile, connection.recv()))

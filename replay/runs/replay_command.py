@@ -218,11 +218,11 @@ def _outcomes(
     if args.dask is not None:
         from replay.runs.many_logs import replay_on_dask
 
-        yield from replay_on_dask(profile.files, tasks, args.dask)
+        yield from replay_on_dask(profile, tasks, args.dask)
     elif args.jobs is not None and args.jobs > 1 and len(tasks) > 1:
         from replay.runs.many_logs import replay_in_processes
 
-        yield from replay_in_processes(profile.files, tasks, args.jobs)
+        yield from replay_in_processes(profile, tasks, args.jobs)
     else:
         from monitor.bus.alarm_text import alarm_line
         from replay.runs.one_log import replay_log

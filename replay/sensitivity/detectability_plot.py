@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from monitor.display import display_unit
 from monitor.views.palette import BLUE, GREY, PURPLE
-from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
+from monitor.views.plot_style import picture
 from replay.sensitivity.detectability import Detectability, Row
 
 if TYPE_CHECKING:
@@ -32,16 +32,10 @@ def plot_detectability(path: str | os.PathLike[str], result: Detectability) -> N
     the delay of 90 % dashed, over the size; below it the share that was missed, as bars. All panels of a row share
     their axes. Where fewer than half, or 90 %, were seen, the line has no point.
     """
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     lines = list(_lines([_in_display_units(row) for row in result.rows]))
     columns = max((len(line) for line in lines), default=1)
     heights = [DELAY_IN, MISSED_IN] * max(len(lines), 1)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 1.25 * sum(heights) + 1.0), dpi=DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+    with picture(path, 1.25 * sum(heights) + 1.0) as figure:
         grid = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
         for number, line in enumerate(lines):
             _draw_line(grid[2 * number], grid[2 * number + 1], line)
@@ -50,7 +44,6 @@ def plot_detectability(path: str | os.PathLike[str], result: Detectability) -> N
             for column in range(used, columns):
                 grid[row][column].set_axis_off()
         _draw_legend(figure, result)
-        save_small(figure, path)
 
 
 def _in_display_units(row: Row) -> Row:

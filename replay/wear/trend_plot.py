@@ -9,7 +9,7 @@ import numpy as np
 
 from monitor.alarms.alarm import LOG_TIMES
 from monitor.views.palette import BLUE, GREY, VERMILION
-from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
+from monitor.views.plot_style import picture
 from replay.wear.trend import AHEAD, Trend, Wear, hours_text
 
 if TYPE_CHECKING:
@@ -29,15 +29,9 @@ def plot_trends(path: str | os.PathLike[str], wear: Wear) -> None:
     Levels with two standard deviations within the flight, the line of channels that have enough flights with its 95 %
     band, as far as it is followed, and the level that raises an alarm dashed. Channels that are named come first.
     """
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = min(COLUMNS, max(1, len(wear.trends)))
     rows = max(1, -(-len(wear.trends) // columns))
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, rows * PANEL_IN + TITLE_IN), dpi=DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+    with picture(path, rows * PANEL_IN + TITLE_IN) as figure:
         panels = list(figure.subplots(rows, columns, squeeze=False).flat)
         for panel in panels:
             panel.set_axis_off()
@@ -48,7 +42,6 @@ def plot_trends(path: str | os.PathLike[str], wear: Wear) -> None:
             f"{len(wear.flights)} flights, {hours_text(wear.hours)}", size=9.5, weight="bold", x=0.01, ha="left"
         )
         figure.supxlabel("hours of flight", size=8)
-        save_small(figure, path)
 
 
 def _draw(panel: Axes, trend: Trend, end: float) -> None:
