@@ -87,4 +87,4 @@ def seldom_text(observer: str, source: SampleSource, rate_hz: float, rates: Mapp
     if not slow:
         return None
     seldom = ", ".join(f"{name} {rates[name]:.2g} Hz" for name in slow)
-    return f"{observer} sees faults late or not at all: {seldom} for {rate_hz:g} samples a second"
+    return f"{observer} sees faults late, not at all, or where none are: {seldom} for {rate_hz:g} samples a second"
