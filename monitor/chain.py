@@ -364,7 +364,8 @@ class ObserverChain:
             return None
         given, rows, spread, unflown, beyond = self._sampler.run(raw)
         if self._envelope is not None:
-            beyond = self._envelope.run(raw, np.arange(len(raw))[rows])
+            outside = self._envelope.run(raw, np.arange(len(raw))[rows])
+            beyond = outside if beyond is None else outside * beyond
         if not len(given):
             return None
         if not isinstance(rows, slice):

@@ -145,6 +145,19 @@ def test_a_gap_while_the_vehicle_speeds_up_leaves_the_vertical_velocity_as_it_is
     assert abs(gps - baro - jump)[(t > 3.2) & (t < 3.4)].max() < 0.1 * jump + 0.2
 
 
+@pytest.mark.parametrize(("lost", "larger"), [(range(0), 1.0), (range(500, 600), 1.58), (range(500, 2000, 5), 2.04)])
+def test_errors_are_larger_by_the_share_of_time_that_was_not_seen_until_it_is_forgotten(
+    lost: range, larger: float
+) -> None:
+    samples = raw_samples(truth.signals(70.0), 0)
+    samples.lost[list(lost), : len(IMU)] = True
+    beyond = Strapdown({}, truth.SIGNAL_HZ, truth.RATE_HZ).run(samples).beyond
+    assert beyond is not None
+    assert beyond[:120] == pytest.approx(1.0)
+    assert beyond.max() == pytest.approx(larger, rel=0.1)
+    assert beyond[-1] < 1.03
+
+
 def test_a_restart_forgets_the_past() -> None:
     raw = truth.signals(3.0)
     transform = Strapdown({}, truth.SIGNAL_HZ, truth.RATE_HZ)

@@ -39,6 +39,9 @@ cdef double _UNSEEN_RATE = 0.02
 # 0.1 to 1 s (0.04 to 0.42), as others are flown more briskly.
 cdef double _WALK = 0.05
 cdef double _UNSEEN_WALK = 1.0
+# By how much faster the square of what GPS and inertial sensors drift apart grows while one of them lacks. Chosen: of
+# the random walks measured while the acceleration is not, 0.2 m/s per root of a second; _WALK while it is.
+cdef double _UNSEEN_GROWTH = (0.2 / 0.05) ** 2
 # Noise of a height, m, and for how long an error of it lasts, s. Chosen: those of barometers in wind; of two heights
 # the one that says less counts, so a better one is not taken for worse than the other.
 cdef double _HEIGHT_NOISE = 0.1
@@ -213,6 +216,8 @@ cdef class StrapdownCore:
     spreads : ndarray
         Standard deviations of the faults of gyros x, y, z, accelerometers x, y and compass as the navigation judges
         them in each of these samples (n, 6); 0 where it does not.
+    beyond : ndarray
+        How many times larger errors of each of these samples are for the times without GPS or IMU that they remember.
     """
 
     cdef bint _gps, _baro, _mag, _hectopascal
@@ -221,7 +226,7 @@ cdef class StrapdownCore:
     cdef _Delay _motion, _fixes, _altitudes, _levels, _sensed
     cdef Navigation _navigation
     cdef _Vertical _vertical
-    cdef readonly object scores, spreads
+    cdef readonly object scores, spreads, beyond
     cdef int _washed
     cdef double _biased_s, _attitude_share
     cdef bint _learned
@@ -243,6 +248,8 @@ cdef class StrapdownCore:
     # Whether the gyro or accelerometer lacked while the GPS did.
     cdef bint _blind
     cdef int[_GROUPS] _lacking
+    # Share of the time that a velocity is remembered for in which GPS or IMU lacked.
+    cdef double _unseen
     cdef double[_WIDEST] _added
     cdef double[_WIDEST] _anchor
     cdef double[_WIDEST] _place
@@ -349,7 +356,7 @@ cdef class StrapdownCore:
         if self._navigation is not None:
             self._navigation.restart()
         self._vertical.restart()
-        self._biased_s = 0.0
+        self._biased_s = self._unseen = 0.0
         self._turning = self._placed = self._has_before = self._begun = False
         self._fresh = True
         self._heading = self._set_back = self._seen = 0.0
@@ -407,12 +414,16 @@ cdef class StrapdownCore:
         cdef double[::1] scores = likeliest
         uncertain = np.zeros((most, 6))
         cdef double[:, ::1] spreads = uncertain
+        larger = np.ones(most)
+        cdef double[::1] beyond = larger
+        cdef double forgotten = (1.0 - self._keep[2]) / self._count
         for row in range(index.shape[0]):
             if restart[row] or self._unstuck:
                 self.restart()
             self.find_lacking(&raw[row, 0], &lost[row, 0], lacks)
             if not self.tick(&raw[row, 0], lacks, now, places, meant):
                 continue
+            self._unseen += forgotten * ((lacks[_IMU] or lacks[_GPS]) - self._unseen)
             if self._has_before and self._begun:
                 # The mean over a tick, by the trapezoidal rule, goes into the mean over the period.
                 for i in range(self._inputs):
@@ -439,6 +450,7 @@ cdef class StrapdownCore:
                 for i in range(self._inputs):
                     u[count, i] = self._sum[i] / self._summed
                 # y(k) is what was known at the period's start: y+ = phi y + tau (1 - phi) d / T.
+                beyond[count] = sqrt(1.0 + _UNSEEN_GROWTH * self._unseen)
                 if self._navigation is not None:
                     scores[count] = self._navigation.score
                     for i in range(6):
@@ -478,7 +490,7 @@ cdef class StrapdownCore:
         if count < most:
             whole, marks, ends = whole[:, :count], marks[:, :count], ends[:count]
             inputs, outputs, lacking = inputs[:count], outputs[:count], lacking[:count]
-        self.scores, self.spreads = likeliest[:count], uncertain[:count]
+        self.scores, self.spreads, self.beyond = likeliest[:count], uncertain[:count], larger[:count]
         return Given(
             Samples(whole[0], whole[1], whole[2], inputs, outputs, marks[0], marks[1], whole[3], marks[2], lacking),
             ends,
