@@ -1,4 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+# distutils: extra_compile_args = -ftree-vectorize -fvect-cost-model=dynamic
+# Entries of a row of a matrix are independent: two are computed at a time, to the same bits.
 """Observers as affine maps, the covariance of their errors, and the static input curves, row after row.
 
 Symbols are those of the theory. Sums go through their terms in one fixed order, so that a row's result depends on the
