@@ -83,7 +83,7 @@ class EvidenceFlow:
         self.chain = chain
         layout = chain.layout
         self.name = layout.observer
-        self.messages = dict.fromkeys(sorted(chain.interests), 0)
+        self.messages = dict.fromkeys(sorted(chain.sampler.interests), 0)
         grouped: dict[str, list[int]] = {}
         for column, output in enumerate(layout.outputs):
             grouped.setdefault(_sensor(output), []).append(column)

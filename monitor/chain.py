@@ -37,9 +37,8 @@ from monitor.estimation.isolation_rule import BankRule, IsolationRule, keep_shar
 from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
 from monitor.profile import FaultChannel, ObserverProfile
-from monitor.sampling.gate import FlightGate, GatedSampler, GateRule
+from monitor.sampling.gate import GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
-from monitor.sampling.sampler import Sampler, SamplerStatistics
 
 _LATELY_NS = 10_000_000_000
 """An alarm raised no longer before an impostor is explained by it: its findings are counted over as long."""
@@ -195,7 +194,8 @@ class ObserverChain:
     """State of one observer of one vehicle.
 
     Clock and excuses (which alarms explain which) are shared by the vehicle's observers; the gate says when samples
-    count as evidence; ``sooner`` are the observers that see all of its faults sooner.
+    count as evidence; ``sooner`` are the observers that see all of its faults sooner. ``sampler`` turns messages into
+    samples, of raw signals where a transform follows; ``gate`` says which samples are evidence.
     """
 
     def __init__(
@@ -224,6 +224,7 @@ class ObserverChain:
         rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s or observer.settling_s()))
         self.source, self.settle_s = profile.source, rule.settle_s
         self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule, profile.supply)
+        self.sampler, self.gate = self._sampler.sampler, self._sampler.gate
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(observer, profile.isolation, names, thresholds)
         self._uncertainty = Uncertainty(observer, profile.model, names, profile.spread)
@@ -266,11 +267,6 @@ class ObserverChain:
             self._excuses.add_beside(alarm.rule.channel, alarm.state, sooner, alarm.rule.slow_s)
 
     @property
-    def interests(self) -> frozenset[str]:
-        """Names of the messages the observer's channels come from."""
-        return self._sampler.interests
-
-    @property
     def channels(self) -> frozenset[str]:
         """Channels that have an alarm."""
         return frozenset(alarm.rule.channel for alarm in self._alarms)
@@ -279,16 +275,6 @@ class ObserverChain:
     def thresholds(self) -> dict[str, float]:
         """Alarm thresholds by channel."""
         return {alarm.rule.channel: alarm.rule.threshold for alarm in self._alarms}
-
-    @property
-    def sampler(self) -> Sampler:
-        """What turns messages into samples, of raw signals where a transform follows."""
-        return self._sampler.sampler
-
-    @property
-    def gate(self) -> FlightGate:
-        """What says which samples are evidence."""
-        return self._sampler.gate
 
     def adopt(self, event: AlarmEvent) -> None:
         """Go on from an alarm event that another run of the monitor, or another monitor, made."""
@@ -315,7 +301,7 @@ class ObserverChain:
         """Begin anew without a channel's active alarm: what the estimates hold of its cause is forgotten."""
         active = [alarm for alarm in self._alarms if alarm.state.active and alarm.rule.channel == channel]
         if self._close(active, time_ns, vehicle_ns, why):
-            self._sampler.restart()
+            self.sampler.restart()
 
     def distrust(self, is_forged: bool, time_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
         """Let a second sender explain what sensors show from now on, and lately did, or no longer; return the events.
@@ -334,7 +320,7 @@ class ObserverChain:
                 listed = self._excuses.explained(alarm.rule.channel, time_ns, vehicle_ns, alarm.state)
                 events += [] if listed is None else [listed]
         if changed and not is_forged:
-            self._sampler.restart()
+            self.sampler.restart()
         return events
 
     def _close(self, alarms: Sequence[Alarm], time_ns: int, vehicle_ns: int, why: str) -> list[AlarmEvent]:
@@ -342,10 +328,6 @@ class ObserverChain:
         for event in events:
             self._excuses.follow(event)
         return events
-
-    def statistics(self) -> SamplerStatistics:
-        """Return what the sampler counted."""
-        return self._sampler.statistics()
 
     def enter(self, allowed: bool) -> None:
         """Restart at the next sample where the phase has come to allow evidence."""

@@ -121,7 +121,7 @@ class Pipeline:
             # behind those of the observers
             self._samplers.append(self._conditions.sampler)
             self._stages.append(self._conditions)
-        self._wanted = frozenset[str]().union(*(chain.interests for chain in self._chains))
+        self._wanted = frozenset[str]().union(*(chain.sampler.interests for chain in self._chains))
         if any(observer.supply is not None for observer in profile.observers):
             self._wanted |= {BATTERY_MESSAGE}
         self._stale = StaleAlarm(self.vehicle, profile.stale_s)
@@ -148,7 +148,7 @@ class Pipeline:
     @property
     def needs(self) -> Mapping[str, frozenset[str]]:
         """Names of the messages that each observer's channels come from."""
-        return {chain.layout.observer: chain.interests for chain in self._chains}
+        return {chain.layout.observer: chain.sampler.interests for chain in self._chains}
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
@@ -233,7 +233,7 @@ class Pipeline:
 
     def statistics(self) -> Mapping[str, SamplerStatistics]:
         """Return the samplers' counts by observer."""
-        return {chain.layout.observer: chain.statistics() for chain in self._chains}
+        return {chain.layout.observer: chain.sampler.statistics() for chain in self._chains}
 
     def metadata(self) -> dict[str, str]:
         """Return what a recording says about how it was made; the clock's mapping is blank until it is known."""
@@ -435,7 +435,9 @@ class Pipeline:
         events = self._link.contradict(self.contradictions, now_ns, "critical" if certain else "warning")
         if self._forged != before:
             for chain in self._chains:
-                events += chain.distrust(not chain.interests.isdisjoint(self._forged), now_ns, self._clock.newest_ns)
+                events += chain.distrust(
+                    not chain.sampler.interests.isdisjoint(self._forged), now_ns, self._clock.newest_ns
+                )
         return events
 
     def _contradictions(self, now_ns: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""Derived signals: a sampler of raw signals with a transform behind it behaves like a sampler."""
+"""Derived signals: a sampler of raw signals with a transform behind it gives the observer's samples."""
 
 from collections.abc import Iterator, Sequence
 
@@ -12,8 +12,8 @@ from adapters.errors import TelemetryError
 from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.core.sampling import VehicleClock, sample_batch
-from monitor.sampling.sampler import Sampler
-from monitor.sampling.transform import SampleSource, TransformedSampler, TransformRule, make_sampler, make_transform
+from monitor.sampling.gate import GatedSampler, GateRule
+from monitor.sampling.transform import SampleSource, TransformRule, make_transform
 from monitor.vehicles.inertial.strapdown import IMU
 
 SIGNALS = tuple(Channel(name, "HIGHRES_IMU", (name,)) for name in IMU)
@@ -29,16 +29,19 @@ def still(seconds: float, gap_s: tuple[float, float] = (0.0, 0.0)) -> Iterator[M
             yield Message(MAVLINK, "HIGHRES_IMU", now_us * 1000, {"time_usec": now_us, **fields}, 1, 1)
 
 
-def given(sampler: TransformedSampler, messages: Sequence[Message]) -> list[Row]:
+def derived() -> GatedSampler:
+    return GatedSampler(SampleSource(transform=RULE, signals=SIGNALS), 25.0, VehicleClock(), GateRule())
+
+
+def given(sampler: GatedSampler, messages: Sequence[Message]) -> list[Row]:
     """Return the observer's samples that messages complete."""
     raw = sample_batch(sampler.sampler.clock, [sampler.sampler], pack(messages)).samples[0]
     return rows(sampler.run(raw).samples)
 
 
 def test_samples_come_at_the_observers_rate_with_the_transforms_names() -> None:
-    sampler = make_sampler(SampleSource(transform=RULE, signals=SIGNALS), 25.0, VehicleClock())
-    assert sampler.interests == {"HIGHRES_IMU"}
-    assert isinstance(sampler, TransformedSampler)
+    sampler = derived()
+    assert sampler.sampler.interests == {"HIGHRES_IMU"}
     samples = given(sampler, [*still(4.0)])
     transform = make_transform(RULE, 25.0)
     assert 90 <= len(samples) <= 100
@@ -50,18 +53,19 @@ def test_samples_come_at_the_observers_rate_with_the_transforms_names() -> None:
 
 @pytest.mark.parametrize("by_gap", [True, False])
 def test_a_gap_and_a_restart_start_the_transform_anew(by_gap: bool) -> None:
-    sampler = TransformedSampler(RULE, SIGNALS, 25.0, VehicleClock())
+    sampler = derived()
     messages = [*still(5.0, (2.0, 4.0) if by_gap else (0.0, 0.0))]
     samples = given(sampler, messages[:200])
     if not by_gap:
-        sampler.restart()
+        sampler.sampler.restart()
     samples += given(sampler, messages[200:])
     assert sum(sample.restart for sample in samples) == 2
 
 
 def test_channels_as_they_are_need_no_transform() -> None:
     source = SampleSource(SIGNALS[:1], SIGNALS[1:2])
-    assert isinstance(make_sampler(source, 50.0, VehicleClock()), Sampler)
+    sampler = GatedSampler(source, 50.0, VehicleClock(), GateRule()).sampler
+    assert sampler.interests == {"HIGHRES_IMU"}
     assert source.channels == SIGNALS[:2]
 
 

@@ -24,7 +24,6 @@ from monitor.core.sampling import VehicleClock
 from monitor.profile import ObserverProfile, Profile
 from monitor.sampling.gate import GatedSampler
 from monitor.sampling.phase import FlightPhase
-from monitor.sampling.sampler import Sampler
 from monitor.sampling.transform import SampleSource
 
 _FASTEST_HZ, _SLOWEST_HZ = 10.0, 8.0
@@ -39,7 +38,7 @@ _MOTOR = re.compile(r"motor\d+")
 
 
 class Conditions:
-    """Follows the conditions of a vehicle whose profile has motors and inertial signals."""
+    """Follows the conditions of a vehicle whose profile has motors and inertial signals, by samples of ``sampler``."""
 
     def __init__(
         self, profile: Profile, motors: ObserverProfile, inertial: ObserverProfile, clock: VehicleClock
@@ -47,7 +46,8 @@ class Conditions:
         commands = [signal for signal in motors.source.signals or motors.source.inputs if _MOTOR.fullmatch(signal.name)]
         signals = {signal.name: signal for signal in inertial.source.signals}
         source = SampleSource(inputs=(*commands, *(signals[name] for name in SIGNALS)))
-        self._sampler = GatedSampler(source, _FASTEST_HZ, clock, profile.gate)
+        self._gated = GatedSampler(source, _FASTEST_HZ, clock, profile.gate)
+        self.sampler = self._gated.sampler
         rule = inertial.source.transform
         pressed = rule is not None and rule.parameters.get("barometer") == _HECTOPASCAL
         self._half_seconds = HalfSeconds(
@@ -57,14 +57,9 @@ class Conditions:
         self._motors, self._number = len(commands), -1
         self.found: deque[FlightCondition] = deque(maxlen=_KEPT)
 
-    @property
-    def sampler(self) -> Sampler:
-        """What turns messages into samples."""
-        return self._sampler.sampler
-
     def enter(self, allowed: bool) -> None:
         """Restart at the next sample where the phase has come to allow evidence."""
-        self._sampler.enter(allowed)
+        self._gated.enter(allowed)
 
     def run(self, samples: Samples, phase: FlightPhase) -> None:
         """Take n samples of :attr:`sampler`; the vehicle's phase is the same for all of them and was entered before."""
@@ -72,7 +67,7 @@ class Conditions:
             return
         # the gate asks the mean command whether the vehicle flies
         commanded = replace(samples, u=samples.u[:, : self._motors])
-        flown = self._sampler.gate.admitted(phase, commanded)
+        flown = self._gated.gate.admitted(phase, commanded)
         if not flown.any():
             return
         for mean in self._half_seconds.run(samples.vehicle_time_ns[flown], samples.time_ns[flown], samples.u[flown]):

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch
-from adapters.sample import Given, Samples
+from adapters.sample import Given, Samples, joined_samples
 from adapters.toml_tables import Table
 from monitor.core.sampling import Settling, VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
-from monitor.sampling.sampler import Sampler, SamplerStatistics
+from monitor.sampling.sampler import Sampler
 from monitor.sampling.supply import Supply, SupplyRule
-from monitor.sampling.transform import SampleSource, make_sampler
+from monitor.sampling.transform import SampleSource, make_transform
 
 _DRIVEN_SAMPLES = 3
 """Samples with commands of flight that say that it flies. Of 44 flights over all links commands fall with the report
@@ -111,6 +111,7 @@ class GatedSampler:
     """An observer's samples from the vehicle's messages, each with whether it is evidence.
 
     ``rule`` says when samples count, ``supply`` how commands act with the battery's voltage; None: they do not.
+    ``sampler`` turns messages into samples, of raw signals where a transform follows; ``gate`` says which are evidence.
     """
 
     def __init__(
@@ -121,40 +122,23 @@ class GatedSampler:
         rule: GateRule,
         supply: SupplyRule | None = None,
     ) -> None:
-        self._sampler = make_sampler(source, rate_hz, clock)
-        self._gate = FlightGate(rule)
+        self._transform, self._size = None, 1
+        if source.transform is None:
+            self.sampler = Sampler(source.inputs, source.outputs, rate_hz, clock)
+        else:
+            self.sampler = Sampler(source.signals, (), source.transform.rate_hz, clock)
+            self._transform = make_transform(source.transform, rate_hz)
+            self._size = round(source.transform.rate_hz / rate_hz)
+        self._kept: list[Samples] = []
+        self.gate = FlightGate(rule)
         self._rule = rule
-        self._commands = source.transform is None
         self._allowed = False
         self._supply = None if supply is None else Supply(supply)
-
-    @property
-    def interests(self) -> frozenset[str]:
-        """Names of the messages the channels come from."""
-        return self._sampler.interests
-
-    def statistics(self) -> SamplerStatistics:
-        """Return what the sampler counted."""
-        return self._sampler.statistics()
-
-    @property
-    def sampler(self) -> Sampler:
-        """What turns messages into samples, of raw signals where a transform follows."""
-        return self._sampler if isinstance(self._sampler, Sampler) else self._sampler.sampler
-
-    @property
-    def gate(self) -> FlightGate:
-        """What says which samples are evidence."""
-        return self._gate
-
-    def restart(self) -> None:
-        """Restart the samples."""
-        self._sampler.restart()
 
     def enter(self, allowed: bool) -> None:
         """Restart the samples where the phase has come to allow evidence."""
         if allowed and not self._allowed:
-            self.restart()
+            self.sampler.restart()
         self._allowed = allowed
 
     def supplied(self, samples: Samples, batch: Batch, position: NDArray[np.int64]) -> Samples:
@@ -167,18 +151,26 @@ class GatedSampler:
         return replace(samples, u=samples.u * self._supply.factors(batch, position)[:, None])
 
     def gathered(self, samples: Samples) -> Samples:
-        """Return samples for :meth:`run`: raw ones together with those before them that completed nothing, or none."""
-        return samples if isinstance(self._sampler, Sampler) else self._sampler.gathered(samples)
+        """Return samples for :meth:`run`: raw ones together with those before them that completed nothing, or none.
+
+        Transforms give a sample with the first or the last raw sample of one of its periods.
+        """
+        if self._transform is None or not len(samples):
+            return samples
+        self._kept.append(samples)
+        kept = sum(map(len, self._kept))
+        if kept < self._size and all(0 < index % self._size < self._size - 1 for index in samples.index.tolist()):
+            return samples.part(0, 0)
+        parts, self._kept = self._kept, []
+        return joined_samples(parts) if len(parts) > 1 else samples
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that those of :attr:`sampler` give, and the rows that completed them."""
-        if isinstance(self._sampler, Sampler):
-            return Given(samples, slice(None))
-        return self._sampler.run(samples)
+        return Given(samples, slice(None)) if self._transform is None else self._transform.run(samples)
 
     def admitted(self, samples: Samples, phase: FlightPhase) -> NDArray[np.bool_]:
         """Return which samples are evidence (n,), the phase having been entered."""
-        return self._gate.admitted(phase, samples, self._commands)
+        return self.gate.admitted(phase, samples, self._transform is None)
 
     def sample(self, batch: Batch, phase: FlightPhase) -> GatedSamples:
         """Return the samples that a batch completes and which are evidence, the phase being the same for all of it."""
