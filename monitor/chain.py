@@ -33,7 +33,7 @@ from monitor.estimation.effectiveness import EffectivenessEstimator, Effectivene
 from monitor.estimation.envelope import EnvelopeStage
 from monitor.estimation.estimator import make_estimator
 from monitor.estimation.excitation import ExcitationStage
-from monitor.estimation.isolation_rule import BankRule, IsolationRule, keep_share
+from monitor.estimation.isolation_rule import edge_faults, keep_share
 from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
 from monitor.profile import FaultChannel, ObserverProfile
@@ -259,7 +259,7 @@ class ObserverChain:
         # the alarm of each fault, and behind them what an index of -1 finds: no alarm
         self._alarm_of = np.full(len(names) + 1, -1, np.intp)
         self._alarm_of[self._faults] = np.arange(len(self._faults))
-        jumping = _jumping(profile.isolation)
+        jumping = edge_faults(profile.isolation)
         for alarm in self._alarms[: len(self._faults)]:
             channel = alarm.rule.channel
             self._excuses.add(channel, alarm.state, profile.name, jumps=channel in jumping, affect=alarm.affect)
@@ -471,15 +471,6 @@ class ObserverChain:
     def _named(self, run: ChangeRun) -> tuple[NDArray[Any], ...]:
         """Return the alarm whose sudden change each row names, with its nats, size, growth and onset."""
         return self._alarm_of[run.named], run.nats, run.size, run.growth, run.onset_ns
-
-
-def _jumping(rule: IsolationRule) -> frozenset[str]:
-    """Return the faults that are only watched for jumps."""
-    if not isinstance(rule, BankRule):
-        return frozenset()
-    each = list(zip(rule.hypotheses, rule.edges, strict=True))
-    lasting = {fault for faults, edge in each if not edge for fault in faults}
-    return frozenset(fault for faults, edge in each if edge for fault in faults) - lasting
 
 
 def shown_in(plant: Plant | None, layout: Layout) -> NDArray[np.bool_]:

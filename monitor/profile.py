@@ -26,7 +26,7 @@ from monitor.alarms.alarm import LEAST, MEASURED, AlarmRule
 from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
 from monitor.estimation.changes import ChangeRule, changes_table, read_changes
 from monitor.estimation.effectiveness import EffectivenessRule, effectiveness_table, read_effectiveness
-from monitor.estimation.envelope import Envelope, envelope_table, read_envelope
+from monitor.estimation.envelope import Envelope, read_envelope
 from monitor.estimation.excitation import ExcitationRule, excitation_table, read_excitation
 from monitor.estimation.isolation_rule import (
     IsolationRule,
@@ -37,7 +37,7 @@ from monitor.estimation.isolation_rule import (
 )
 from monitor.sampling.gate import GateRule, read_gate
 from monitor.sampling.identity import Identity
-from monitor.sampling.supply import SupplyRule, read_supply, supply_table
+from monitor.sampling.supply import SupplyRule, read_supply
 from monitor.sampling.transform import SampleSource, TransformRule, make_transform
 
 
@@ -268,9 +268,9 @@ def observer_table(observer: ObserverProfile, sees: Mapping[str, str] = MappingP
     if observer.excitation is not None:
         table["excitation"] = excitation_table(observer.excitation)
     if observer.envelope is not None:
-        table["envelope"] = envelope_table(observer.envelope)
+        table["envelope"] = asdict(observer.envelope)
     if observer.supply is not None:
-        table["supply"] = supply_table(observer.supply)
+        table["supply"] = asdict(observer.supply)
     if observer.spread:
         table["spread"] = dict(observer.spread)
     if observer.effectiveness:

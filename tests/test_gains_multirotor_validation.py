@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gains.identification.segment import Segment
-from monitor.fitting.predictions import explained_change
+from monitor.fitting.fit_report import explained_change
 from monitor.vehicles.multirotor.identify import MultirotorFit, identify_multirotor, multirotor_plant
 from monitor.vehicles.multirotor.validation import motor_effect, predict_rates, response_drift
 

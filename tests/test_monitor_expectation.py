@@ -13,7 +13,7 @@ from monitor.sampling.transform import SampleSource
 def test_each_fault_shows_in_its_own_measurement() -> None:
     expected = [Expectation(f"line{n}", 0.1, f"fault{n}", "m", 0.5, 1.0) for n in (1, 2)]
     plant = expectation_plant("any", 10.0, ("a", "b"), expected)
-    (gains,) = bare_observer("any", plant, design_blocks(plant), SampleSource()).gains
+    (gains,) = bare_observer("any", plant, design_blocks(plant), SampleSource(), ()).gains
     u = np.ones((200, 2))
     y = u + np.where(np.arange(200)[:, None] >= 100, [2.0, 0.0], 0.0)
     found = AffineObserver([gains]).run(u, y).fault

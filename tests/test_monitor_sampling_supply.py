@@ -1,5 +1,6 @@
 """Commands at the battery's voltage: what came last counts, however the telemetry is cut, and nonsense never."""
 
+from dataclasses import asdict
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from adapters.errors import ProfileError
 from adapters.message import Message
 from adapters.source import MAVLINK
 from adapters.toml_tables import TomlFile
-from monitor.sampling.supply import Supply, SupplyRule, read_supply, supply_table
+from monitor.sampling.supply import Supply, SupplyRule, read_supply
 
 RULE = SupplyRule(volts=16.0, share=0.5)
 
@@ -41,6 +42,6 @@ def test_factors_do_not_depend_on_cuts() -> None:
 
 
 def test_a_rule_reads_back_as_written() -> None:
-    file = TomlFile("profile.toml", {"supply": supply_table(RULE)}, ProfileError)
+    file = TomlFile("profile.toml", {"supply": asdict(RULE)}, ProfileError)
     assert read_supply(file.root.table("supply")) == RULE
     file.check()

@@ -44,7 +44,7 @@ from adapters.toml_tables import Table
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.compilation import input_curves
 from monitor.core.changes import ChangeTest
-from monitor.estimation.excitation import HOLD_S
+from monitor.estimation.excitation import HOLD_S, judged_outputs
 
 WINDOW_S = 2.0
 """Onsets that are tried. Slower faults are the slow path's, whose mean is as long (slow_s of AlarmRule)."""
@@ -86,10 +86,7 @@ class ChangeRun(NamedTuple):
 
 def read_changes(table: Table, outputs: Sequence[str]) -> ChangeRule:
     """Return the rule of an observer's table ``changes``; mistakes are recorded in its file."""
-    judged = table.texts("outputs")
-    for name in judged:
-        if name not in outputs:
-            table.mistake("outputs", f"has '{name}'; the observer has {', '.join(outputs)}")
+    judged = judged_outputs(table, outputs)
     p, order = len(judged), table.integer("order", at_least=1)
     apart = table.has("lasts_s")
     stacked = table.matrix("whitening", order if apart else order * p, p)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from math import degrees, exp, radians
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,15 +39,10 @@ class Envelope:
 
 
 def read_envelope(table: Table) -> Envelope:
-    """Return the envelope of an observer's table ``envelope``; mistakes are recorded in its file."""
+    """Return the envelope of an observer's table, its fields by name; mistakes are recorded in its file."""
     found = Envelope(**{key.name: table.number(key.name, 0.0, at_least=0.0) for key in fields(Envelope)})
     table.done()
     return found
-
-
-def envelope_table(envelope: Envelope) -> dict[str, Any]:
-    """Return the table that :func:`read_envelope` reads back."""
-    return {key.name: getattr(envelope, key.name) for key in fields(Envelope)}
 
 
 def reached(signals: Sequence[str], rows: Sequence[NDArray[np.float64]], rate_hz: float) -> Envelope:
@@ -92,11 +86,8 @@ class EnvelopeStage:
     @property
     def furthest(self) -> tuple[float, str] | None:
         """For how long, seconds, and how far a run lay outside of the fitted flights; None where it did not."""
-        text = excess_text(self._sizes(self._core.furthest))
-        if text is None:
-            return None
-        after = "there and for half a minute after sizes are larger"
-        return self._core.rows / self._rate_hz, f"outside the fitted flights: {text}; {after}"
+        sizes, after = self._sizes(self._core.furthest), "there and for half a minute after sizes are larger"
+        return furthest_text(sizes, self._core.rows / self._rate_hz, after)
 
     def _sizes(self, sizes: Sequence[float]) -> Iterator[tuple[str, float, float, str]]:
         units = (("tilt", "degrees", degrees(1.0)), ("rate", "rad/s", 1.0), ("speed", "m/s", 1.0))
@@ -115,6 +106,14 @@ def excess_text(sizes: Iterable[tuple[str, float, float, str]]) -> str | None:
         if fitted > 0.0 and now > WORTH_SAYING * fitted
     )
     return "; ".join(parts) or None
+
+
+def furthest_text(
+    sizes: Iterable[tuple[str, float, float, str]], seconds: float, after: str
+) -> tuple[float, str] | None:
+    """Return for how long and how far a run lay outside of the fitted flights, and what follows; None: it did not."""
+    text = excess_text(sizes)
+    return None if text is None else (seconds, f"outside the fitted flights: {text}; {after}")
 
 
 def outside_text(sizes: Iterable[tuple[str, float, float, str]], factor: float) -> str | None:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from adapters.sample import Samples
 from adapters.toml_tables import Table
 from monitor.core.excitation import Excitation
-from monitor.estimation.envelope import WORTH_SAYING, excess_text, outside_text
+from monitor.estimation.envelope import WORTH_SAYING, furthest_text, outside_text
 
 HOLD_S = 0.3
 """Model error outlasts what causes it: rates that decay and rotors that spin down take about as long (theory 5.1)."""
@@ -48,12 +48,18 @@ class ExcitationRule:
 _NUMBERS = tuple(key.name for key in fields(ExcitationRule) if key.name != "outputs")
 
 
-def read_excitation(table: Table, outputs: Sequence[str]) -> ExcitationRule:
-    """Return the rule of an observer's table ``excitation``; mistakes are recorded in its file."""
+def judged_outputs(table: Table, outputs: Sequence[str]) -> tuple[str, ...]:
+    """Return the ``outputs`` that a rule's table names; one that the observer does not have is a mistake."""
     judged = table.texts("outputs")
     for name in judged:
         if name not in outputs:
             table.mistake("outputs", f"has '{name}'; the observer has {', '.join(outputs)}")
+    return judged
+
+
+def read_excitation(table: Table, outputs: Sequence[str]) -> ExcitationRule:
+    """Return the rule of an observer's table ``excitation``; mistakes are recorded in its file."""
+    judged = judged_outputs(table, outputs)
     numbers = {key: table.number(key, at_least=0.0) for key in _NUMBERS}
     table.done()
     return ExcitationRule(judged, **numbers)
@@ -93,10 +99,8 @@ class ExcitationStage:
     @property
     def furthest(self) -> tuple[float, str] | None:
         """For how long, seconds, and how far a run lay outside of the fitted flights; None where it did not."""
-        text = excess_text(self._sizes(*self._core.furthest))
-        if text is None:
-            return None
-        return self._core.rows / self._rate_hz, f"outside the fitted flights: {text}; there sizes are larger"
+        sizes, seconds = self._sizes(*self._core.furthest), self._core.rows / self._rate_hz
+        return furthest_text(sizes, seconds, "there sizes are larger")
 
     def _sizes(self, rate: float, change: float) -> list[tuple[str, float, float, str]]:
         rate_fitted, change_fitted = self._fitted

@@ -73,6 +73,15 @@ class BankRule:
 IsolationRule = IndependentRule | SingleRule | BankRule
 
 
+def edge_faults(rule: IsolationRule) -> frozenset[str]:
+    """Return the faults of a bank whose evidence is an edge of their estimate: no compared hypothesis has them."""
+    if not isinstance(rule, BankRule):
+        return frozenset()
+    each = list(zip(rule.hypotheses, rule.edges, strict=True))
+    compared = {fault for faults, edge in each if not edge for fault in faults}
+    return frozenset(fault for faults, edge in each if edge for fault in faults) - compared
+
+
 def read_hypotheses(table: Table) -> tuple[tuple[str, ...], ...] | None:
     """Return the faults of a bank's hypotheses, None where the isolation runs a single observer.
 
@@ -96,14 +105,18 @@ def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
     hypotheses = read_hypotheses(table)
     method = table.choice("method", METHODS)
     smoothing_s = table.number("smoothing_s", 0.05, at_least=0.0)
-    rule: IsolationRule
+    rule: IsolationRule = IndependentRule(smoothing_s)
+    if method != "independent":
+        shared = {
+            "smoothing_s": smoothing_s,
+            "tolerance": table.number("tolerance", 0.2, at_least=0.0),
+            "score_floor": table.number("score_floor", at_least=0.0),
+            "gain_penalty": table.number("gain_penalty", 25.0, at_least=0.0),
+        }
     if hypotheses is not None:
         entries = table.tables("hypotheses")
         rule = BankRule(
-            smoothing_s=smoothing_s,
-            tolerance=table.number("tolerance", 0.2, at_least=0.0),
-            score_floor=table.number("score_floor", at_least=0.0),
-            gain_penalty=table.number("gain_penalty", 25.0, at_least=0.0),
+            **shared,
             hypotheses=hypotheses,
             covariances=tuple(_covariance(entry, outputs, definite=False) for entry in entries),
             edges=tuple(entry.boolean("edge", False) for entry in entries),
@@ -122,15 +135,7 @@ def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
             entry.texts("faults")
             entry.done()
     elif method == "single":
-        rule = SingleRule(
-            smoothing_s=smoothing_s,
-            tolerance=table.number("tolerance", 0.2, at_least=0.0),
-            score_floor=table.number("score_floor", at_least=0.0),
-            gain_penalty=table.number("gain_penalty", 25.0, at_least=0.0),
-            covariance=_covariance(table, faults),
-        )
-    else:
-        rule = IndependentRule(smoothing_s)
+        rule = SingleRule(**shared, covariance=_covariance(table, faults))
     table.done()
     return rule
 

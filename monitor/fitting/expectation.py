@@ -1,4 +1,4 @@
-"""Observers that compare measurements with what is expected of them: their plant and their bare profile."""
+"""Observers that compare measurements with what is expected of them: their plant, bare profile and alarms."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.design import Design
 from monitor.estimation.isolation_rule import IndependentRule
-from monitor.fitting.fitted import Fitted
+from monitor.fitting.fitted import Fitted, bare_rule
+from monitor.fitting.flights import Flight
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated, Times, calibrated, healthy_levels
 from monitor.sampling.transform import SampleSource
 
 
@@ -62,7 +64,31 @@ def expectation_plant(
     )
 
 
-def bare_observer(observer: str, plant: Plant, design: Design, source: SampleSource) -> Fitted:
-    """Return an observer of such a plant that has no alarms yet."""
+def bare_observer(
+    observer: str, plant: Plant, design: Design, source: SampleSource, flights: Sequence[Flight]
+) -> Fitted:
+    """Return an observer of such a plant that has no alarms yet, and its samples in healthy flights."""
     gains = compile_gains(plant, design, certify(plant, design))
-    return Fitted(observer, plant, (gains,), source, IndependentRule(1.0 / gains.rate_hz))
+    flight_s = sum(len(flight.evidence) for flight in flights) / gains.rate_hz
+    return Fitted(observer, plant, (gains,), source, IndependentRule(1.0 / gains.rate_hz), flight_s=flight_s)
+
+
+def pooled_alarms(
+    bare: Fitted,
+    evidence: Sequence[FloatArray],
+    channels: Sequence[str],
+    smallest: float,
+    critical: float,
+    times: Times,
+    alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
+) -> list[Calibrated]:
+    """Return the alarms of some channels, all at one level: what one has not seen in healthy flight another has.
+
+    ``evidence`` is that of all channels in healthy flight, ``smallest`` and ``critical`` the sizes that are worth an
+    alarm and critical.
+    """
+    rate_hz, units = bare.gains[0].rate_hz, dict(zip(bare.gains[0].faults, bare.gains[0].fault_units, strict=True))
+    places = [bare.gains[0].faults.index(name) for name in channels]
+    levels = healthy_levels([run[:, at] for at in places for run in evidence], rate_hz, alarms_per_hour, times)
+    rules = [bare_rule(bare.name, name, "actuator", units[name]) for name in channels]
+    return [calibrated(rule, levels, 1.0, floor=smallest, critical=critical, times=times) for rule in rules]

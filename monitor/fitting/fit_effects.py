@@ -30,10 +30,9 @@ from monitor.fitting.agreement import Agreement, ComparedEffect, FlightEffects, 
 from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.effect_signals import EffectSignals
 from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
-from monitor.fitting.fit_report import Comparison, comparison_lines
+from monitor.fitting.fit_report import Comparison, Prediction, compared, comparison_lines, horizon_samples
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
-from monitor.fitting.predictions import Prediction, compared, horizon_samples
 from monitor.fitting.thresholds import Calibrated
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule, make_transform

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -155,21 +155,8 @@ class Fitted:
 
     def profile(self) -> ObserverProfile:
         """Return the observer as it will be read from the profile."""
-        return ObserverProfile(
-            name=self.name,
-            gains=self.gains,
-            faults=fault_channels(self.gains),
-            source=self.source,
-            isolation=self.isolation,
-            alarms=self.rules,
-            settle_s=self.settle_s,
-            effectiveness=self.effectiveness,
-            changes=self.changes,
-            excitation=self.excitation,
-            envelope=self.envelope,
-            spread=self.spread,
-            supply=self.supply,
-        )
+        known = {key.name: getattr(self, key.name) for key in fields(ObserverProfile) if hasattr(self, key.name)}
+        return ObserverProfile(**known | {"faults": fault_channels(self.gains), "alarms": self.rules})
 
     def table(self) -> dict[str, Any]:
         """Return the observer's part of profile.toml."""

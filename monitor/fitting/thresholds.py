@@ -19,7 +19,7 @@ from monitor.alarms.alarm import AlarmRule
 from monitor.chain import ChainRun, ObserverChain
 from monitor.core.lagged import exponential_mean
 from monitor.core.sampling import VehicleClock
-from monitor.estimation.isolation_rule import BankRule
+from monitor.estimation.isolation_rule import edge_faults
 from monitor.fitting.extremes import ReturnLevel, return_level, standing
 from monitor.fitting.flights import Flight
 from monitor.profile import ObserverProfile
@@ -109,7 +109,7 @@ def healthy_evidence(
     Return evidence (N, a + 1) of each stretch of samples that count, per the scale of its sizes there, or the root of
     the residuals' level; the last column is the unexplained score.
     """
-    edges = _edges_of(observer)
+    edges = edge_faults(observer.isolation)
     levelled = [observer.excitation is None and channel.name not in edges for channel in observer.faults]
     found = []
     for run, stretches in healthy_runs(observer, gate, flights):
@@ -118,16 +118,6 @@ def healthy_evidence(
         evidence = np.column_stack([sizes / scale, run.unexplained])
         found += [evidence[rows] for rows in stretches]
     return found
-
-
-def _edges_of(observer: ObserverProfile) -> set[str]:
-    """Return the faults of a bank whose evidence is an edge of their estimate."""
-    rule = observer.isolation
-    if not isinstance(rule, BankRule):
-        return set()
-    hypotheses = list(zip(rule.hypotheses, rule.edges, strict=True))
-    compared = {name for found, edge in hypotheses if not edge for name in found}
-    return {name for found, edge in hypotheses if edge for name in found} - compared
 
 
 def healthy_runs(

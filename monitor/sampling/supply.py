@@ -6,8 +6,7 @@ sample takes what came last before it.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,12 +63,7 @@ class Supply:
 
 
 def read_supply(table: Table) -> SupplyRule:
-    """Return the rule of a profile's table; mistakes are recorded in its file."""
+    """Return the rule of a profile's table, its fields by name; mistakes are recorded in its file."""
     rule = SupplyRule(table.number("volts", above=0.0), table.number("share", above=0.0, at_most=2.0))
     table.done()
     return rule
-
-
-def supply_table(rule: SupplyRule) -> dict[str, Any]:
-    """Return the table that :func:`read_supply` reads back as the same rule."""
-    return asdict(rule)

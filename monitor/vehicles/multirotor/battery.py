@@ -31,17 +31,10 @@ from adapters.sample import Given, Samples
 from gains.synthesis.convex import design_convex
 from monitor.alarms.alarm import RESISTANCE
 from monitor.core.lagged import LaggedMeans
-from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant
-from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
+from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant, pooled_alarms
+from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, flight_samples, transformed
-from monitor.fitting.thresholds import (
-    FALSE_ALARMS_PER_HOUR,
-    Times,
-    calibrated,
-    healthy_evidence,
-    healthy_levels,
-    plain_only,
-)
+from monitor.fitting.thresholds import Times, healthy_evidence, plain_only
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters
 from monitor.sampling.transform import SampleSource, TransformRule
@@ -181,19 +174,16 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
     expected = Expectation("resistance", left, OBSERVER, RESISTANCE, _SMALLEST, _FAULT_RATE, OBSERVER)
     # of the inputs the first is the usual resistance; the others are for the alarm's sentence
     plant = expectation_plant(request.name, rate_hz, BatteryInputs.inputs, [expected], np.eye(1, 4))
-    bare = bare_observer(OBSERVER, plant, design_convex(plant), source)
-    evidence = [run[:, 0] for run in healthy_evidence(bare.profile(), gate, flights)]
+    bare = bare_observer(OBSERVER, plant, design_convex(plant), source, flights)
+    evidence = healthy_evidence(bare.profile(), gate, flights)
     raise_s = max(_RAISE * memory_s, 3.0 / rate_hz)
     times = Times(fast_s=raise_s, raise_s=raise_s, slow_s=_SLOW * memory_s, clear_s=raise_s)
-    levels = healthy_levels(evidence, rate_hz, FALSE_ALARMS_PER_HOUR, times)
-    rule = bare_rule(OBSERVER, OBSERVER, "actuator", RESISTANCE)
     # a resistance is a mean itself: the path of means would name half of what matters
-    alarm = plain_only(calibrated(rule, levels, 1.0, floor=_SMALLEST, critical=_CRITICAL, times=times))
+    alarm = plain_only(*pooled_alarms(bare, evidence, [OBSERVER], _SMALLEST, _CRITICAL, times))
     charge = "" if not parameters["charge"] else f", {parameters['charge'] / 3600.0:.1f} Ah when full"
     return replace(
         bare,
         alarms=(alarm,),
-        flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
         findings={"rate_hz": rate_hz, "ohm": parameters["ohm"], "charge_as": parameters["charge"]},
         lines=(
             f"{1000.0 * parameters['ohm']:.1f} milliohms{charge}; "

@@ -25,18 +25,10 @@ from gains.plants.plant import Plant
 from gains.synthesis.blocks import design_blocks
 from monitor.alarms.alarm import CURRENT, SPEED
 from monitor.alarms.excuse import ExcuseRule
-from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant
-from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
+from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant, pooled_alarms
+from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, flight_samples, transformed
-from monitor.fitting.thresholds import (
-    FALSE_ALARMS_PER_HOUR,
-    Calibrated,
-    Times,
-    calibrated,
-    healthy_evidence,
-    healthy_levels,
-)
-from monitor.profile import FaultChannel
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated, Times, healthy_evidence
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.signals import multirotor_channels
@@ -207,13 +199,11 @@ def _designed(
     flights = [transformed(_chosen(flight, kept), EscInputs(rule.parameters, signal_hz, rate_hz)) for flight in raw]
     plant = esc_plant(found, name, rate_hz)
     source = SampleSource(transform=rule, signals=tuple(channels[at] for at in kept))
-    bare = bare_observer(OBSERVER, plant, design_blocks(plant), source)
-    evidence = healthy_evidence(bare.profile(), gate, flights)
-    alarms = _alarms(bare.profile().faults, evidence, rate_hz, _times(rate_hz))
+    bare = bare_observer(OBSERVER, plant, design_blocks(plant), source, flights)
+    alarms = _alarms(bare, healthy_evidence(bare.profile(), gate, flights), _times(rate_hz))
     return replace(
         bare,
         alarms=tuple(alarms),
-        flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
         findings={
             "rate_hz": rate_hz,
             "delay_s": found.delay_s,
@@ -342,23 +332,15 @@ def _times(rate_hz: float) -> Times:
     )
 
 
-def _alarms(
-    channels: Sequence[FaultChannel], evidence: Sequence[FloatArray], rate_hz: float, times: Times
-) -> list[Calibrated]:
+def _alarms(bare: Fitted, evidence: Sequence[FloatArray], times: Times) -> list[Calibrated]:
     """Return the alarms, those of all motors at one level."""
-    share = FALSE_ALARMS_PER_HOUR / len(channels)
+    channels = bare.gains[0].faults
     alarms: list[Calibrated] = []
-    for kind, smallest, critical in (
-        ("esc", _SMALLEST_SPEED, _CRITICAL_SPEED),
-        ("motor", _SMALLEST_CURRENT, _CRITICAL_CURRENT),
-    ):
-        places = [at for at, channel in enumerate(channels) if channel.name.startswith(kind)]
-        if not places:
-            continue
-        levels = healthy_levels([run[:, at] for at in places for run in evidence], rate_hz, share, times)
-        for at in places:
-            rule = bare_rule(OBSERVER, channels[at].name, "actuator", channels[at].unit)
-            alarms.append(calibrated(rule, levels, 1.0, floor=smallest, critical=critical, times=times))
+    share = FALSE_ALARMS_PER_HOUR / len(channels)
+    speeds, currents = (_SMALLEST_SPEED, _CRITICAL_SPEED), (_SMALLEST_CURRENT, _CRITICAL_CURRENT)
+    for kind, (smallest, critical) in (("esc", speeds), ("motor", currents)):
+        if own := [name for name in channels if name.startswith(kind)]:
+            alarms += pooled_alarms(bare, evidence, own, smallest, critical, times, share)
     return alarms
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from string import ascii_lowercase
 
@@ -25,10 +25,16 @@ from monitor.fitting.calibrate import LEVEL_SHARE, SETTLE_S, bank_rule
 from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.excitation import fit_excitation
 from monitor.fitting.extremes import ReturnLevel
-from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines
+from monitor.fitting.fit_report import (
+    HORIZON_S,
+    Comparison,
+    compared,
+    comparison_json,
+    comparison_lines,
+    horizon_samples,
+)
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_alarm
 from monitor.fitting.flights import Flight, flight_samples
-from monitor.fitting.predictions import HORIZON_S, compared, horizon_samples
 from monitor.fitting.spread import fit_spread
 from monitor.fitting.survey import MOTOR_MESSAGE, Survey, common_rate_hz
 from monitor.fitting.thresholds import (
@@ -43,7 +49,7 @@ from monitor.fitting.thresholds import (
 )
 from monitor.profile import FaultChannel, ObserverProfile
 from monitor.sampling.gate import GateRule
-from monitor.sampling.supply import BATTERY_MESSAGE, SupplyRule, supply_table
+from monitor.sampling.supply import BATTERY_MESSAGE, SupplyRule
 from monitor.sampling.transform import SampleSource
 from monitor.vehicles.multirotor.flight_motors import motor_agreement
 from monitor.vehicles.multirotor.frames import Frame, frame_of
@@ -263,17 +269,11 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
         if commands.pulses or drive.unit == THRUST
         else {"command_range": {"none": commands.stop, "full": commands.full}}
     )
-    return Fitted(
-        name=drive.observer,
-        plant=plant,
-        gains=gains,
-        source=identified.source,
-        isolation=rule,
+    return replace(
+        bare,
         alarms=tuple(alarms),
         changes=changes,
-        excitation=bare.excitation,
         spread=fit_spread(bare.profile(), plant, gate, identified.flights),
-        supply=drive.supply,
         flight_s=sum(len(segment.u) for segment in segments) / model.rate_hz,
         findings={
             "rate_hz": model.rate_hz,
@@ -281,7 +281,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
             "hover_command": dict(zip(motors, hover.tolist(), strict=True)),
             "effectiveness": {motor: model.B[:3, i].tolist() for i, motor in enumerate(motors)},
             **identified.findings,
-            **({} if drive.supply is None else {"supply": supply_table(drive.supply)}),
+            **({} if drive.supply is None else {"supply": asdict(drive.supply)}),
             **ranges,
             "validation": None if identified.comparison is None else comparison_json(identified.comparison),
         },

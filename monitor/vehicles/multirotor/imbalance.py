@@ -37,10 +37,10 @@ from gains.synthesis.blocks import design_blocks
 from monitor.alarms.alarm import LOG_TIMES
 from monitor.alarms.excuse import ExcuseRule
 from monitor.core.lagged import LaggedMeans, cosines, sines
-from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant
-from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
+from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant, pooled_alarms
+from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, flight_samples, transformed
-from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, healthy_evidence
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters, raw_per_sample
 from monitor.sampling.transform import SampleSource, TransformRule
@@ -236,27 +236,15 @@ def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
         for n, fault in zip(numbers, faults, strict=True)
     ]
     plant = expectation_plant(request.name, rate_hz, faults, expectations)
-    bare = bare_observer(OBSERVER, plant, design_blocks(plant), source)
+    bare = bare_observer(OBSERVER, plant, design_blocks(plant), source, flights)
     evidence = healthy_evidence(bare.profile(), gate, flights)
     share = FALSE_ALARMS_PER_HOUR / len(numbers)
-    levels = healthy_levels([run[:, at] for at in range(len(numbers)) for run in evidence], rate_hz, share, _TIMES)
-    alarms = tuple(
-        calibrated(
-            bare_rule(OBSERVER, fault.name, "actuator", LOG_TIMES),
-            levels,
-            1.0,
-            floor=_SMALLEST,
-            critical=_CRITICAL,
-            times=_TIMES,
-        )
-        for fault in plant.faults
-    )
+    alarms = pooled_alarms(bare, evidence, faults, _SMALLEST, _CRITICAL, _TIMES, share)
     usual = ", ".join(f"prop{n} {math.exp(parameters[f'c{n}_0']):.2g} m/s^2" for n in numbers)
     return replace(
         bare,
-        alarms=alarms,
+        alarms=tuple(alarms),
         excuses=(ExcuseRule((SHAKING,), plant.inputs, _EXCUSED_S, same_cause=True),),
-        flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
         findings={"rate_hz": rate_hz, "left": left, "signal_hz": signal_hz},
         lines=(
             f"once per turn, by {message} at {signal_hz:g} Hz, in hover: {usual}; within a factor of "

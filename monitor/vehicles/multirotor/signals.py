@@ -239,10 +239,10 @@ def _is_no_pulse(output: MotorOutput) -> bool:
 
 def _seen(surveys: Sequence[Survey], number: int) -> str:
     """Return the range of an output over all logs, empty where it gave nothing."""
-    ranges = [survey.outputs[number] for survey in surveys if number in survey.outputs]
-    if not ranges:
+    seen = [survey for survey in surveys if number in survey.outputs]
+    if not seen:
         return ""
-    low, high = min(limits.low for limits in ranges), max(limits.high for limits in ranges)
+    low, high = _extremes(seen, [number])
     return f"{low} to {high}" if high > low else f"always {low}"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gains.identification.segment import Segment
-from monitor.fitting.predictions import Prediction
+from monitor.fitting.fit_report import Prediction
 from monitor.vehicles.multirotor.identify import MultirotorFit
 
 FloatArray = NDArray[np.float64]

@@ -24,10 +24,10 @@ from adapters.sample import Given, Samples
 from gains.synthesis.convex import design_convex
 from monitor.alarms.alarm import CLIPS, LOG_TIMES
 from monitor.core.lagged import LaggedMeans
-from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant
-from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
+from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant, pooled_alarms
+from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, flight_samples, transformed
-from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
+from monitor.fitting.thresholds import Times, healthy_evidence
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters, raw_per_sample
 from monitor.sampling.transform import SampleSource, TransformRule
@@ -172,23 +172,16 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
     )
     # no clip is ever expected
     plant = expectation_plant(request.name, rate_hz, VibrationInputs.inputs, expectations, np.eye(2, 1))
-    bare = bare_observer(OBSERVER, plant, design_convex(plant), source)
-    healthy = healthy_evidence(bare.profile(), gate, flights)
-    evidence = [run[:, 0] for run in healthy]
-    rule = bare_rule(OBSERVER, OBSERVER, "actuator", LOG_TIMES)
+    bare = bare_observer(OBSERVER, plant, design_convex(plant), source, flights)
+    evidence = healthy_evidence(bare.profile(), gate, flights)
     times = replace(_TIMES, raise_s=max(_TIMES.raise_s, 3.0 / rate_hz), fast_s=max(_TIMES.fast_s, 2.0 / rate_hz))
-    found = healthy_levels(evidence, rate_hz, FALSE_ALARMS_PER_HOUR, times)
-    alarm = calibrated(rule, found, 1.0, floor=_SMALLEST, critical=_CRITICAL, times=times)
-    clips = [run[:, 1] for run in healthy]
-    rule = bare_rule(OBSERVER, CLIPPING, "actuator", CLIPS)
-    found = healthy_levels(clips, rate_hz, FALSE_ALARMS_PER_HOUR, times)
-    clipping = calibrated(rule, found, 1.0, floor=_CLIPPED, critical=_CRITICALLY, times=times)
+    [alarm] = pooled_alarms(bare, evidence, [OBSERVER], _SMALLEST, _CRITICAL, times)
+    [clipping] = pooled_alarms(bare, evidence, [CLIPPING], _CLIPPED, _CRITICALLY, times)
     # A slow mean asks for half the size, which of a logarithm is a factor of 1.7: a storm shakes a vehicle as much.
     alarm = replace(alarm, rule=replace(alarm.rule, slow=max(alarm.rule.slow, alarm.rule.threshold)))
     return replace(
         bare,
         alarms=(alarm, clipping),
-        flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
         findings={"rate_hz": rate_hz, "left": left},
         lines=(
             f"levels {rate_hz:g} times a second, within a factor of {math.exp(left):.2f} of what throttle and motion "
