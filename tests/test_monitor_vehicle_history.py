@@ -13,8 +13,7 @@ from loopback import event
 
 from monitor.bus.payload import to_json
 from monitor.bus.status_watch import VehicleStatus
-from monitor.console.fleet_view import vehicle_card
-from monitor.console.flight_mode import flight_mode
+from monitor.console.fleet_view import flight_mode, vehicle_card
 from monitor.console.vehicle_history import MAX_ENTRIES, MAX_OBSERVERS, ROWS, SLOT_NS, VehicleHistory
 
 JSON = st.recursive(

@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import zenoh
+
     from monitor.bus.status_watch import StatusWatch
     from monitor.bus.subscriber import AlarmSubscriber
     from monitor.event import AlarmEvent
@@ -106,21 +109,29 @@ def add_endpoints(parser: argparse.ArgumentParser, default: str | None = None) -
     )
 
 
+@contextmanager
+def monitors(args: argparse.Namespace) -> Iterator[tuple[zenoh.Session, Sequence[str]]]:
+    """Open a session with the monitors that the command line names; yield it and their endpoints."""
+    from adapters.zenoh.zenoh_session import endpoints, open_session
+
+    connect = args.connect or [DEFAULT_CONNECT]
+    where = endpoints("connect", connect, args.zenoh_config)
+    # a session left open would keep the process alive for ever
+    with open_session(connect=connect, config_file=args.zenoh_config) as session:
+        yield session, where
+
+
 def run_alarms(args: argparse.Namespace) -> int:
     """Show alarms until interrupted or for the time asked: a table on a terminal, JSON lines in a pipe."""
-    from adapters.zenoh.zenoh_session import endpoints, open_session
     from monitor.bus.alarm_text import alarm_line
     from monitor.bus.payload import to_json
     from monitor.bus.status_watch import StatusWatch
     from monitor.bus.subscriber import AlarmSubscriber
 
-    connect = args.connect or [DEFAULT_CONNECT]
-    where = endpoints("connect", connect, args.zenoh_config)
     named = "" if args.vehicle == "*" else f" of '{args.vehicle}'"
-    nobody = f"no monitor{named} at {', '.join(where)}"
     until = float("inf") if args.seconds is None else time.monotonic() + args.seconds
-    # a session left open would keep the process alive for ever
-    with open_session(connect=connect, config_file=args.zenoh_config) as session:
+    with monitors(args) as (session, where):
+        nobody = f"no monitor{named} at {', '.join(where)}"
         subscriber = AlarmSubscriber(session, args.vehicle, args.prefix, args.history)
         statuses = StatusWatch(session, args.vehicle, args.prefix)
         if args.json or not sys.stdout.isatty():
@@ -174,16 +185,13 @@ def _print_lines(
 def run_command(args: argparse.Namespace) -> int:
     """Ask a monitor to do something to an alarm, print what it did."""
     from adapters.errors import printable
-    from adapters.zenoh.zenoh_session import endpoints, open_session
     from monitor.bus.alarm_text import alarm_line
     from monitor.bus.payload import to_json
     from monitor.console.operator_client import find_target, send_command
     from monitor.event import valid_event
 
     details = {"by": args.by or _user(), "reason": args.reason, "minutes": getattr(args, "minutes", None)}
-    connect = args.connect or [DEFAULT_CONNECT]
-    where = endpoints("connect", connect, args.zenoh_config)
-    with open_session(connect=connect, config_file=args.zenoh_config) as session:
+    with monitors(args) as (session, where):
         target = find_target(session, args.target, args.prefix, args.vehicle, where)
         request = target.request | {key: value for key, value in details.items() if value is not None}
         reply = send_command(session, args.prefix, target.vehicle, args.verb, request)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from adapters.channels import number
 from adapters.errors import printable
+from adapters.mavlink.flight_modes import mode_name
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
 from monitor.bus.payload import decode_payload
 from monitor.bus.status_watch import MAX_VEHICLES, StatusWatch, VehicleStatus
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.console.alarm_table import AlarmTable
-from monitor.console.flight_mode import flight_mode
 from monitor.console.vehicle_history import MAX_CHANNELS, MAX_OBSERVERS, Since, VehicleHistory, mapping
 from monitor.display import display_unit
 
@@ -35,6 +35,8 @@ _GONE_NS: Final = 3600 * 1_000_000_000
 """Chosen: a vehicle whose monitor is gone is shown until one has noticed, and not for days."""
 _UNKNOWN: Final[tuple[int, dict[str, Any]]] = (0, {"state": "starting"})
 """Card of a vehicle whose monitor has said nothing yet."""
+_ARMED: Final = 128
+"""MAV_MODE_FLAG_SAFETY_ARMED"""
 
 
 class FleetView:
@@ -148,6 +150,15 @@ class FleetView:
                 return None
             del self._histories[gone]
         return self._histories.setdefault(vehicle, VehicleHistory())
+
+
+def flight_mode(beat: Mapping[str, Any]) -> str:
+    """Return ``LOITER`` or ``LOITER, disarmed``; empty where the heartbeat, which may hold anything, tells neither."""
+    kind, autopilot, base, custom = (beat.get(key) for key in ("type", "autopilot", "base_mode", "custom_mode"))
+    if not (type(kind) is int and type(base) is int and type(custom) is int and 0 <= custom < 1 << 32):
+        return ""
+    name = mode_name(autopilot if type(autopilot) is int else 0, kind, base, custom) or f"mode {custom}"
+    return name if base & _ARMED else f"{name}, disarmed"
 
 
 def _clean(event: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import ipaddress
 import re
 import sys
 from pathlib import Path
 
 from adapters.errors import UsageError
-from monitor.console.alarm_commands import DEFAULT_CONNECT, add_endpoints
+from monitor.console.alarm_commands import add_endpoints, monitors
 
 _SHORTEST = 16
 """Letters of a token. Chosen: as many random ones as nobody guesses at one a second."""
@@ -51,14 +50,14 @@ def add_console(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
 
 def run_console(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
-    from adapters.zenoh.zenoh_session import endpoints, open_session
     from monitor.bus.keys import ANY, vehicle_root
+    from monitor.configuration.config_values import is_loopback
     from monitor.console.web_server import ConsoleOptions, ConsoleServer, listen_address
     from monitor.service.caught_signals import caught_signals
 
     token = None if args.token_file is None else _token(args.token_file)
     listen_address(args.listen)
-    if token is None and not _is_loopback(args.listen):
+    if token is None and not is_loopback(args.listen.rpartition(":")[0]):
         raise UsageError(
             f"--listen {args.listen}: others could reach it, so it needs --token-file; or listen on 127.0.0.1 behind a "
             "reverse proxy that asks who it is"
@@ -71,10 +70,8 @@ def run_console(args: argparse.Namespace) -> int:
         if not _HOST_NAME.fullmatch(name):
             raise UsageError(f"--host {name}: is no name of a machine; give it as browsers ask for it, without a port")
     vehicle_root(args.prefix, ANY)
-    connect = args.connect or [DEFAULT_CONNECT]
-    where = endpoints("connect", connect, args.zenoh_config)
     options = ConsoleOptions(args.listen, args.prefix, args.commands, token, args.host, args.clips)
-    with caught_signals() as signals, open_session(connect=connect, config_file=args.zenoh_config) as session:
+    with caught_signals() as signals, monitors(args) as (session, where):
         server = ConsoleServer(session, options)
         try:
             sys.stdout.write(f"{server.url} shows the monitors at {', '.join(where)}; Ctrl-C ends\n")
@@ -97,11 +94,3 @@ def _token(path: Path) -> str:
             f"{path}: holds no token of {_SHORTEST} letters or more; make one: openssl rand -hex 16 > {path}"
         )
     return token
-
-
-def _is_loopback(listen: str) -> bool:
-    host = listen.rpartition(":")[0].strip("[]")
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
