@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -23,7 +23,7 @@ from adapters.batch import Batch
 from adapters.message import SECOND_NS
 from monitor.alarms.desk import OBSERVER as MONITOR
 from monitor.alarms.link_alarms import SET_BACK_NS
-from monitor.event import UNNUMBERED, AlarmEvent, Severity, State, fixed_rule_event
+from monitor.event import AlarmEvent, Severity, State, fixed_rule_event, next_event
 from monitor.profile import newly_watched
 
 if TYPE_CHECKING:
@@ -341,15 +341,8 @@ class BlindAlarm:
     def _next(
         self, active: AlarmEvent, state: State, now_ns: int, vehicle_ns: int, text: str, severity: Severity
     ) -> AlarmEvent:
-        self._active = replace(
-            active,
-            state=state,
-            severity=severity,
-            time_ns=max(now_ns, active.time_ns),
-            vehicle_time_ms=vehicle_ns // 1_000_000,
-            message=text,
-            seq=UNNUMBERED,
-        )
+        time_ns = max(now_ns, active.time_ns)
+        self._active = next_event(active, state, time_ns, vehicle_ns // 1_000_000, text, severity=severity)
         return self._active
 
 

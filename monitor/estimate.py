@@ -70,26 +70,19 @@ class Estimates:
     def part(self, start: int, stop: int) -> Estimates:
         """Return the estimates start <= row < stop, as views."""
         rows = slice(start, stop)
-        return Estimates(
-            observer=self.observer,
-            samples=self.samples.part(start, stop),
-            x=self.x[rows],
-            fault=self.fault[rows],
-            isolated=self.isolated[rows],
-            residual=self.residual[rows],
-            armed=self.armed[rows],
-            sd=self.sd[rows],
-            coasted_s=self.coasted_s[rows],
-        )
+        values = (getattr(self, name)[rows] for name in _VALUES)
+        return Estimates(self.observer, self.samples.part(start, stop), *values)
+
+
+_VALUES = tuple(field.name for field in fields(Estimates) if field.name not in ("observer", "samples"))
 
 
 def joined_estimates(parts: Sequence[Estimates]) -> Estimates:
     """Return the estimates of one observer over consecutive samples as one object."""
     if len(parts) == 1:
         return parts[0]
-    values = [field.name for field in fields(Estimates) if field.name not in ("observer", "samples")]
     return Estimates(
         parts[0].observer,
         joined_samples([part.samples for part in parts]),
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in values),
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in _VALUES),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from types import UnionType
 from typing import Annotated, Any, Final, Literal, NamedTuple, TypeGuard, get_args, get_origin, get_type_hints
 
@@ -174,3 +174,11 @@ def fixed_rule_event(
         message=message,
         seq=UNNUMBERED,
     )
+
+
+def next_event(
+    before: AlarmEvent, state: State, time_ns: int, vehicle_time_ms: int, message: str, **changes: Any
+) -> AlarmEvent:
+    """Return the next event of such an alarm, unnumbered; ``changes`` are other fields that are not as before."""
+    changes |= {"time_ns": time_ns, "vehicle_time_ms": vehicle_time_ms, "message": message, "seq": UNNUMBERED}
+    return replace(before, state=state, **changes)

@@ -94,23 +94,8 @@ class TraceBuilder:
 
     def build(self) -> Trace:
         """Return the samples collected so far, as a copy."""
-        values = self._values[: self._rows].copy()
-        times, flags = self._times[: self._rows].copy(), self._flags[: self._rows].copy()
-        u, y, x, fault, isolated, residual, sd = np.split(values, self._edges, axis=1)
-        return Trace(
-            layout=self._layout,
-            vehicle_ns=times[:, 0],
-            unix_ns=times[:, 1],
-            u=u,
-            y=y,
-            x=x,
-            fault=fault,
-            isolated=isolated,
-            residual=residual,
-            sd=sd,
-            armed=flags[:, 0],
-            restart=flags[:, 1],
-        )
+        times, values, flags = (kept[: self._rows].copy() for kept in (self._times, self._values, self._flags))
+        return Trace(self._layout, *times.T, *np.split(values, self._edges, axis=1), *flags.T)
 
     def _make_room(self) -> None:
         rows = self._rows

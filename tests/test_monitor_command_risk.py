@@ -2,7 +2,7 @@
 
 import pytest
 
-from monitor.alarms.command_risk import command_risk
+from monitor.alarms.command_watch import command_risk
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ safety parameters away; the vehicle does as it is told, and nothing fails.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -15,7 +15,6 @@ from adapters.batch import Columns
 from adapters.mavlink.heartbeat import AUTOPILOT
 from adapters.message import Message
 from adapters.source import MAVLINK
-from monitor.alarms.command_risk import command_risk, ends_flight
 
 COMMANDS: Final = frozenset(
     {
@@ -27,6 +26,15 @@ COMMANDS: Final = frozenset(
 FLOOD: Final = 50
 """Commands within a second. Chosen: a ground station sends missions and parameters with an answer to each, some
 ten a second over a radio, some thirty over a wire."""
+# https://mavlink.io/en/messages/common.html
+_DISARM, _TERMINATE, _REBOOT, _MODE = 400, 185, 246, 176
+_MISSION = frozenset({"MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_WRITE_PARTIAL_LIST"})
+SAFETY_PARAMETERS = (
+    "FS_", "FENCE_", "ARMING_", "BATT_FS", "BATT_LOW", "BATT_CRT", "GCS_", "RTL_ALT", "SYSID_", "BRD_SAFETY",
+    "DISARM_DELAY", "COM_", "NAV_DLL_ACT", "NAV_RCL_ACT", "GF_", "CBRK_", "BAT_", "RTL_RETURN_ALT", "EKF2_GPS_CHECK",
+    "MAV_PROTO", "MAV_SYS_ID",
+)  # fmt: skip
+"""Begins of parameters that decide what a vehicle does when something fails, of ArduPilot and of PX4."""
 _MOST_SENDERS = 64
 """Senders that are remembered. Chosen: more than ever command one vehicle; forged ids cost no memory beyond."""
 
@@ -74,6 +82,29 @@ class CommandFinding:
     kind: Literal["sender", "flood"]  # a risky command of a new sender, or too many commands
     weight: Literal["information", "warning", "critical"]  # information alone is no alarm
     text: str  # what happened, without a full stop
+
+
+def command_risk(name: str, values: Sequence[float | str]) -> str | None:
+    """Return in words what a message does to a vehicle in flight, None where it is harmless.
+
+    ``name`` is the message's, or the number of the MAV_CMD in it; ``values`` are the parameters of a command, or the
+    name of the parameter that is set.
+    """
+    if name in _MISSION:
+        return "rewrites the mission"
+    if name == "SET_MODE" or name == str(_MODE):
+        return "changes the mode"
+    if name == "PARAM_SET":
+        parameter = next((value for value in values if isinstance(value, str)), "")
+        return f"sets {parameter}" if parameter.startswith(SAFETY_PARAMETERS) else None
+    if name == str(_DISARM) and values and values[0] == 0:
+        return "disarms"
+    return {str(_TERMINATE): "terminates the flight", str(_REBOOT): "reboots the autopilot"}.get(name)
+
+
+def ends_flight(name: str, values: Sequence[float | str]) -> bool:
+    """Return whether a message brings a flying vehicle down, which nobody does by the way."""
+    return name in (str(_TERMINATE), str(_REBOOT)) or (name == str(_DISARM) and bool(values) and values[0] == 0)
 
 
 class CommandWatch:

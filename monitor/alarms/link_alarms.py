@@ -13,7 +13,7 @@ from adapters.message import LATEST_NS, Message
 from adapters.source import LINK, MAVLINK
 from monitor.alarms.alarm import with_affected
 from monitor.alarms.command_watch import CommandFinding
-from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, fixed_rule_event
+from monitor.event import AlarmEvent, Kind, Severity, State, fixed_rule_event, next_event
 
 OBSERVER = "link"
 SIGNING = "signing"
@@ -203,16 +203,7 @@ class LinkAlarms:
     def _event(
         self, channel: str, active: AlarmEvent, state: State, now_ns: int, size: float | None, text: str
     ) -> AlarmEvent:
-        event = replace(
-            active,
-            state=state,
-            time_ns=now_ns,
-            vehicle_time_ms=self._vehicle_ms,
-            estimate=size,
-            peak=size,
-            message=text,
-            seq=UNNUMBERED,
-        )
+        event = next_event(active, state, now_ns, self._vehicle_ms, text, estimate=size, peak=size)
         self._active[channel] = event
         return event
 

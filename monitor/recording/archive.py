@@ -45,6 +45,7 @@ class Archive:
         self._shown = FoxgloveRecords(encoder)
         self._recorder = recorder
         self._black_box = black_box
+        self._parts = [part for part in (recorder, black_box) if part is not None]
         self._batches: list[Batch] = []
         self._estimates: dict[str, list[Estimates]] = {}
         self._rows = 0
@@ -90,17 +91,13 @@ class Archive:
             self._record(self._shown.estimates(part), telemetry=False)
 
     def _record(self, records: Sequence[EncodedRecord], telemetry: bool) -> None:
-        if self._recorder is not None:
-            self._recorder.record(records, telemetry=telemetry)
-        if self._black_box is not None:
-            self._black_box.record(records, telemetry=telemetry)
+        for part in self._parts:
+            part.record(records, telemetry=telemetry)
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Add entries to the metadata of the recording and of the clips to come."""
-        if self._recorder is not None:
-            self._recorder.add_metadata(metadata)
-        if self._black_box is not None:
-            self._black_box.add_metadata(metadata)
+        for part in self._parts:
+            part.add_metadata(metadata)
 
     def flush(self) -> None:
         """Hand the recording to the operating system, or try a disk again that refused; call it on a timer."""
@@ -118,10 +115,8 @@ class Archive:
     def close(self) -> None:
         """Finish the recording and the open clips; a second call does nothing."""
         self.encode()
-        if self._recorder is not None:
-            self._recorder.close()
-        if self._black_box is not None:
-            self._black_box.close()
+        for part in self._parts:
+            part.close()
 
     def statistics(self) -> ArchiveStatistics:
         """Return the counts so far, and the trouble with the disk."""

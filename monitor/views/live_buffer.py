@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from adapters.batch import Batch, one_message
 from adapters.channels import follow, number
 from adapters.message import Message
-from monitor.estimate import Estimates, Layout
+from monitor.estimate import Estimates, Layout, joined_estimates
 from monitor.event import AlarmEvent
 from monitor.trace import Trace, TraceBuilder
 from monitor.views.panels import Thresholds
@@ -184,8 +184,7 @@ class VehicleView:
 
 def _trace(layout: Layout, estimates: Sequence[Estimates]) -> Trace:
     builder = TraceBuilder(layout, max_rows=len(estimates) + 1)
-    for row in estimates:
-        builder.extend(row)
+    builder.extend(joined_estimates(estimates))
     return builder.build()
 
 

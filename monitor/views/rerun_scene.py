@@ -84,11 +84,7 @@ class RerunScene:
             offset = int(trace.unix_ns[0] - trace.vehicle_ns[0])
             entity = (trace.layout.observer, "truth", name)
             path = self._describe(entity, rr.SeriesLines(names=f"truth of {name}", colors=rgba(GREEN)))
-            self._send(
-                path,
-                _times(vehicle_ns, vehicle_ns + offset),
-                rr.Scalars.columns(scalars=np.asarray(values, dtype=np.float64)),
-            )
+            self._scalars(path, _times(vehicle_ns, vehicle_ns + offset), np.asarray(values, dtype=np.float64))
 
     def spans(self, trace: Trace, spans: Sequence[AlarmSpan], thresholds: Thresholds) -> None:
         """Send when the alarms of an observer were active, as thick spans of the lines of their thresholds."""
@@ -108,7 +104,7 @@ class RerunScene:
                 )
                 vehicle_ns, unix_ns, levels = _span_lines(trace, active, level)
                 path = self._describe(entity, style)
-                self._send(path, _times(vehicle_ns, unix_ns), rr.Scalars.columns(scalars=levels))
+                self._scalars(path, _times(vehicle_ns, unix_ns), levels)
 
     def events(self, events: Sequence[AlarmEvent]) -> None:
         """Send alarms as states, each of which lasts until the next, and every event as a line of text."""
@@ -129,7 +125,7 @@ class RerunScene:
         """Send a message's numeric fields: times of arrival (N,), values (N, fields)."""
         colours = [rgba(any_ground_colour(index)) for index in range(len(fields))]
         path = self._describe(("raw", message), rr.SeriesLines(names=list(fields), colors=colours))
-        self._send(path, [_unix(unix_ns)], rr.Scalars.columns(scalars=values))
+        self._scalars(path, [_unix(unix_ns)], values)
 
     def way(self, way: Way, traces: Sequence[Trace]) -> None:
         """Send where the vehicle was, as GPS says and by the estimates, for a map, and in space with its attitude."""
@@ -179,9 +175,7 @@ class RerunScene:
         path = self._describe(entity, rr.SeriesLines(names=list(names), colors=[rgba(colour) for colour in colours]))
         for start in range(0, len(values), BATCH_ROWS):
             rows = slice(start, start + BATCH_ROWS)
-            self._send(
-                path, _times(trace.vehicle_ns[rows], trace.unix_ns[rows]), rr.Scalars.columns(scalars=values[rows])
-            )
+            self._scalars(path, _times(trace.vehicle_ns[rows], trace.unix_ns[rows]), values[rows])
 
     def _level(self, trace: Trace, entity: tuple[str, ...], name: str, level: float) -> None:
         """Send two lines from the first sample to the last, one above and one below zero."""
@@ -189,11 +183,8 @@ class RerunScene:
             return
         ends = [0, -1]
         path = self._describe(entity, rr.SeriesLines(names=[name] * 2, colors=[rgba(GREY)] * 2, widths=[1.0] * 2))
-        self._send(
-            path,
-            _times(trace.vehicle_ns[ends], trace.unix_ns[ends]),
-            rr.Scalars.columns(scalars=np.array([[level, -level]] * 2)),
-        )
+        levels = np.array([[level, -level]] * 2)
+        self._scalars(path, _times(trace.vehicle_ns[ends], trace.unix_ns[ends]), levels)
 
     def _path(self, entity: tuple[str, ...]) -> str:
         return entity_path(*self._root, *entity)
@@ -205,6 +196,9 @@ class RerunScene:
             self._recording.log(path, style, static=True)
             self._described.add(path)
         return path
+
+    def _scalars(self, path: str, indexes: Sequence[rr.TimeColumn], values: NDArray[np.float64]) -> None:
+        self._send(path, indexes, rr.Scalars.columns(scalars=values))
 
     def _send(self, path: str, indexes: Sequence[rr.TimeColumn], columns: Any) -> None:
         self._recording.send_columns(path, indexes=indexes, columns=columns)
