@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from adapters.errors import ModelError
 from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
@@ -16,6 +17,9 @@ from monitor.fitting.fitted import Fitted, bare_rule
 from monitor.fitting.flights import Flight
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated, Times, calibrated, healthy_levels
 from monitor.sampling.transform import SampleSource
+
+_LEAST_S = 20.0
+"""Evidence that is needed, seconds, as of the motors observer."""
 
 
 class Expectation(NamedTuple):
@@ -28,6 +32,12 @@ class Expectation(NamedTuple):
     error: float  # smallest size that matters
     rate: float  # units per second by which the fault may grow
     input: str | None = None  # input that the fault is a share of; None: it has a size of its own
+
+
+def check_length(rows: int, rate_hz: float, what: str) -> None:
+    """Raise ModelError where there is too little healthy flight with ``what`` to learn what is expected."""
+    if rows < _LEAST_S * rate_hz:
+        raise ModelError(f"only {rows / rate_hz:.0f} s of flight with {what}; {_LEAST_S:.0f} s are needed")
 
 
 def expectation_plant(

@@ -26,12 +26,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.errors import ModelError, TelemetryError
+from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
 from gains.synthesis.convex import design_convex
 from monitor.alarms.alarm import RESISTANCE
 from monitor.core.lagged import LaggedMeans
-from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant, pooled_alarms
+from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import Times, healthy_evidence, plain_only
@@ -53,8 +53,6 @@ voltage in minutes; a resistance that doubles at once is half seen after 0.7 of 
 _SURE = 0.08
 """Standard deviation of the resistance in healthy flights, as a share of it, up to which a memory is long enough: a
 fifth of the smallest alarm, as far from it as no Gaussian error comes in a million samples."""
-_LEAST_S = 20.0
-"""Evidence that is needed, seconds, as of the motors observer."""
 _LARGEST_ERROR = 0.25
 """Standard error of the resistance, as a share, up to which the flights know it, as of the motors' effects."""
 _DOUBT = 1.0
@@ -195,11 +193,10 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
 
 def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float] | None:
     """Return the transform's parameters, None where the flights do not tell the resistance."""
-    products, charge = np.zeros((2, 2)), []
-    seconds = 0.0
+    products, charge, rows = np.zeros((2, 2)), [], 0
     for flight in raw:
         amps, left = flight.samples.u[flight.armed, 1:3].T
-        seconds += len(amps) / rate_hz
+        rows += len(amps)
         if not len(amps) or not np.isfinite(flight.samples.u[flight.armed]).all() or not np.median(amps) > _LEAST_AMPS:
             return None
         base = LaggedMeans([(0.0, _BASE_S)] * 2, rate_hz, 1, 2, 2)
@@ -210,19 +207,18 @@ def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float] | None:
         products += fast.T @ fast
         if left[0] - left[-1] >= _LEAST_USED:
             charge.append(float(amps.sum()) / rate_hz / float(left[0] - left[-1]))
-    if seconds < _LEAST_S:
-        raise ModelError(f"only {seconds:.0f} s of flight with the battery's current; {_LEAST_S:.0f} s are needed")
+    check_length(rows, rate_hz, "the battery's current")
     if not products[1, 1] > 0.0:
         return None
     ohm = -products[0, 1] / products[1, 1]
-    noise = max(products[0, 0] - ohm * ohm * products[1, 1], 0.0) / (seconds * rate_hz)
+    noise = max(products[0, 0] - ohm * ohm * products[1, 1], 0.0) / rows
     # errors within a second are alike
     error = math.sqrt(noise / (products[1, 1] / rate_hz))
     if not ohm > 0.0 or error > _LARGEST_ERROR * ohm:
         return None
     parameters: dict[str, float] = {}
     for memory_s in _MEMORIES_S:
-        doubt = max(noise / (memory_s * (_DOUBT * ohm) ** 2), 1e-6 * products[1, 1] / (seconds * rate_hz))
+        doubt = max(noise / (memory_s * (_DOUBT * ohm) ** 2), 1e-6 * products[1, 1] / rows)
         full = float(np.median(charge)) if charge else 0.0
         values = {"ohm": ohm, "doubt": doubt, "charge": full, "memory_s": memory_s}
         if (cells := raw[0].samples.u.shape[1] - 3) > 1:

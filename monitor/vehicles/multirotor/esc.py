@@ -25,7 +25,7 @@ from gains.plants.plant import Plant
 from gains.synthesis.blocks import design_blocks
 from monitor.alarms.alarm import CURRENT, SPEED
 from monitor.alarms.excuse import ExcuseRule
-from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant, pooled_alarms
+from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated, Times, healthy_evidence
@@ -47,8 +47,6 @@ _SLOWEST_HZ = 2.0
 """Speeds that come less often are not judged. Measured over radios at 1 Hz: what commands did between two of them
 accused two controllers in 8 minutes of healthy flight, and left others without evidence for 5 s and more; at 10 Hz of a
 log neither. Chosen: between."""
-_LEAST_S = 20.0
-"""Evidence that is needed, seconds, as of the motors observer."""
 _DELAYS_S, _LAGS_S = (
     (0.0, 0.02, 0.04, 0.07, 0.1, 0.15),
     (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17),
@@ -236,10 +234,7 @@ def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: f
     """Identify on raw flights whose signals are commands, then speeds, currents and voltages of as many motors."""
     s = len(commands)
     u, speed, current, voltage = np.split(np.concatenate([flight.samples.u[flight.armed] for flight in raw]), 4, axis=1)
-    if len(u) < _LEAST_S * signal_hz:
-        raise ModelError(
-            f"only {len(u) / signal_hz:.0f} s of flight with speeds of motors; {_LEAST_S:.0f} s are needed"
-        )
+    check_length(len(u), signal_hz, "speeds of motors")
     hover = np.median(speed, axis=0)
     if not (hover > 0.0).all():
         raise ModelError("a motor that flies reports no speed: is each speed controller one of a motor?")

@@ -37,7 +37,7 @@ from gains.synthesis.blocks import design_blocks
 from monitor.alarms.alarm import LOG_TIMES
 from monitor.alarms.excuse import ExcuseRule
 from monitor.core.lagged import LaggedMeans, cosines, sines
-from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant, pooled_alarms
+from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, healthy_evidence
@@ -68,8 +68,6 @@ _MEMORY_S = 2.0
 _HIGHEST = 0.45
 """Share of the accelerometer's rate up to which a line is told: a twentieth below half of it, the width that jitter of
 stamps and the steps of speeds between their measurements take."""
-_LEAST_S = 20.0
-"""Evidence that is needed, seconds, as of the motors observer."""
 _RIDGE = 0.01
 """Added to the diagonal of the normal equations, as a share of it: chosen, what cannot be parted is shared out, what
 can is off by a hundredth."""
@@ -276,10 +274,7 @@ def _learned(
         speeds.append(np.log(found.u[kept] / hover))
         amplitudes.append(np.log(np.maximum(found.y[kept], _LEAST_LEVEL)))
     x, y = np.concatenate(speeds), np.concatenate(amplitudes)
-    if len(x) < _LEAST_S * rate_hz:
-        raise ModelError(
-            f"only {len(x) / rate_hz:.0f} s of flight with speeds and accelerations; {_LEAST_S:.0f} needed"
-        )
+    check_length(len(x), rate_hz, "speeds and accelerations")
     parameters = {f"output{at}": float(n) for at, n in enumerate(numbers, start=1)} | {"least": _LEAST_LEVEL}
     left = []
     for at, n in enumerate(numbers):

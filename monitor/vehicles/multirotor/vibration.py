@@ -24,7 +24,7 @@ from adapters.sample import Given, Samples
 from gains.synthesis.convex import design_convex
 from monitor.alarms.alarm import CLIPS, LOG_TIMES
 from monitor.core.lagged import LaggedMeans
-from monitor.fitting.expectation import Expectation, bare_observer, expectation_plant, pooled_alarms
+from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import Times, healthy_evidence
@@ -49,8 +49,6 @@ and one that comes every three seconds still shows what a flight of minutes does
 _LAG_S = 0.5
 """How late the level follows: ArduPilot takes the root of a square that went through a low-pass filter of 2 Hz, behind
 one of 5 Hz; PX4 weighs a level anew with each sample, over a second."""
-_LEAST_S = 20.0
-"""Evidence that is needed, seconds, as of the motors observer."""
 _LEAST_LEVEL = 3.0
 """m/s^2: what is below counts as that, the level of a good vehicle, a tenth of what ArduPilot's guide accepts at most.
 Air alone moves what is below: of eight healthy flights in its simulator the medians are 0.2 to 2.1, the highest single
@@ -200,8 +198,7 @@ def _learned(raw: Sequence[Flight], motors: int, signal_hz: float, rate_hz: floa
         kept = flight.armed[given.rows] & ~given.samples.lost.any(axis=1)
         rows.append(np.hstack([given.samples.u[kept], given.samples.y[kept]]))
     values = np.concatenate(rows)
-    if len(values) < _LEAST_S * rate_hz:
-        raise ModelError(f"only {len(values) / rate_hz:.0f} s of flight with vibration; {_LEAST_S:.0f} s are needed")
+    check_length(len(values), rate_hz, "vibration")
     if not (values[:, 3] > 0.0).any():
         raise ModelError("the vehicle reports no vibration: each level is zero")
     measured = np.log(np.maximum(values[:, 3], _LEAST_LEVEL))
