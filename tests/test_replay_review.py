@@ -120,6 +120,7 @@ LOOK_ALIKES: dict[str, Flight] = {
     "a receiver that holds its position while a vehicle hovers": Flight(
         north_m=lambda at: 2.0 * min(at, 30.0) + 2.0 * max(at - 40.0, 0.0)
     ),
+    "a receiver that has its first fix in flight": Flight(fix=lambda at: 0 if at < 30.0 else 3),
     "one innovation": Flight(ratio=between(30.0, 30.2, 3.0, 0.1)),
     "a reset at take-off": Flight(resets=lambda at: 1 + (at > 4.0)),
     "a hard landing": Flight(vibration=between(LANDING_S - 0.5, LANDING_S + 1.0, 30.0, 2.0)),

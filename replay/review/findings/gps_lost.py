@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from replay.review.facts.log_facts import FIX_3D, LogFacts, LogSignal
 from replay.review.findings.loss_of_control import in_control, spans_in_control
 from replay.review.findings.rule import Judgement, Rule
@@ -13,9 +15,8 @@ _LEAST_S = 1.0
 
 
 def _judge(facts: LogFacts, gps: LogSignal) -> Iterator[Judgement]:
-    if not (gps.only[in_control(facts, gps.time_s)] >= FIX_3D).any():
-        return
-    for start, end in spans_in_control(facts, gps, gps.only < FIX_3D, _LEAST_S)[:1]:
+    known = np.logical_or.accumulate((gps.only >= FIX_3D) & in_control(facts, gps.time_s))
+    for start, end in spans_in_control(facts, gps, known & (gps.only < FIX_3D), _LEAST_S)[:1]:
         fewest = int(gps.during(start, end).values[:, 1].min())
         yield Judgement(
             start_s=start,
