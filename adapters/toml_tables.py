@@ -272,15 +272,13 @@ class Table:
         if not isinstance(value, str):
             self._wrong(at, value, "text in quotes")
             return ""
-        return value if check is None or self._checked(at, value, check) else ""
-
-    def _checked(self, at: KeyPath, value: str, check: Callable[[str], Any]) -> bool:
         try:
-            check(value)
+            if check is not None:
+                check(value)
         except ValueError as error:
             self.mistake(at, str(error))
-            return False
-        return True
+            return ""
+        return value
 
     def _choice(self, at: KeyPath, value: Any, choices: Sequence[_Choice]) -> _Choice:
         if value in choices:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from adapters.errors import StorageError, TelemetryError, UsageError
-from replay.runs.log_list import LogFile, find_logs, forbid_overwriting, target
+from replay.runs.log_list import LogFile, check_outputs, find_logs, target
 
 
 @pytest.fixture
@@ -77,7 +77,13 @@ def test_each_log_gets_a_file_of_its_own(tmp_path: Path) -> None:
 
 def test_no_log_is_overwritten(flights: Path) -> None:
     logs = find_logs([flights])
-    forbid_overwriting(logs, [flights / "new.mcap"])
+    check_outputs(logs, [flights / "new.mcap"], "twice")
     for path in (flights / "day1/../b.tlog", flights / "day2/quad-20260102T030405Z-0002.mcap"):
         with pytest.raises(StorageError, match="would be overwritten"):
-            forbid_overwriting(logs, [path])
+            check_outputs(logs, [path], "twice")
+
+
+def test_no_output_is_written_twice(flights: Path) -> None:
+    one = flights / "new.png"
+    with pytest.raises(UsageError, match="named twice"):
+        check_outputs(find_logs([flights]), [one, flights / "day1" / ".." / "new.png"], "named twice")

@@ -7,12 +7,13 @@ need to know what came before; what it returns counts only while the attack last
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adapters.errors import UsageError
 
@@ -122,6 +123,16 @@ class Attack:
             return self.size or 0.0
         grown = self.rate * (stamp_ns - self.start_ns) / 1e9
         return grown if self.size is None or abs(grown) < abs(self.size) else self.size
+
+    def sizes(self, stamps_ns: Iterable[int]) -> NDArray[np.float64] | None:
+        """Return its size at times (n,), of a spoof the position's, zero while it does not act.
+
+        None where the kind has no size that follows from time alone.
+        """
+        if self.kind not in ("bias", "ramp", "loss", "spoof"):
+            return None
+        size = self.spoof()[0] if self.kind == "spoof" else self.growth
+        return np.array([size(stamp_ns) if self.acts(stamp_ns) else 0.0 for stamp_ns in stamps_ns])
 
     def additive(self) -> AttackSignal | None:
         """Return what is added at a time where the kind adds something that depends on time alone, else None."""

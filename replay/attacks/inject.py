@@ -20,7 +20,7 @@ from adapters.message import SECOND_NS, Message
 from adapters.output_file import check_suffix, write_file
 from monitor.profile import read_profile
 from monitor.trace import Trace
-from replay.attacks.attack import Attack, AttackSignal
+from replay.attacks.attack import Attack
 from replay.attacks.injector import Injector, Plan, Senders, inject, plan, profile_clocks, survey_senders
 
 TRUTH = "truth"
@@ -211,15 +211,13 @@ def _course(fault: Mapping[str, Any], channel: str, trace: Trace) -> NDArray[np.
         acceleration=numbers["acceleration"],
     )
     attack.check()
-    signal: AttackSignal
-    if attack.kind in ("bias", "ramp"):
-        signal = attack.growth
-    elif attack.kind == "spoof":
-        position, velocity = attack.spoof()
-        signal = velocity if "velocity" in channel else position
-    elif attack.kind == "loss" and channel in trace.layout.inputs:
-        command = trace.u[:, trace.layout.inputs.index(channel)]
-        return np.asarray(-command * np.array([attack.growth(int(stamp_ns)) for stamp_ns in trace.vehicle_ns]))
-    else:
+    stamps_ns = trace.vehicle_ns.tolist()
+    if attack.kind == "spoof" and "velocity" in channel:
+        velocity = attack.spoof()[1]
+        return np.array([velocity(stamp_ns) if attack.acts(stamp_ns) else 0.0 for stamp_ns in stamps_ns])
+    sizes = attack.sizes(stamps_ns)
+    if attack.kind != "loss" or sizes is None:
+        return sizes
+    if channel not in trace.layout.inputs:
         return None
-    return np.array([signal(int(stamp_ns)) if attack.acts(int(stamp_ns)) else 0.0 for stamp_ns in trace.vehicle_ns])
+    return np.asarray(-trace.u[:, trace.layout.inputs.index(channel)] * sizes)

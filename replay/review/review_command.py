@@ -39,21 +39,17 @@ def add_review(subparsers: Any) -> None:
 
 def run_review(args: argparse.Namespace) -> int:
     """Run ``fauio review``."""
-    from adapters.errors import TelemetryError, UsageError, printable
+    from adapters.errors import TelemetryError, printable
     from adapters.output_file import write_file
     from replay.review.review import review_log
     from replay.review.review_text import review_lines
-    from replay.runs.log_list import check_output, find_logs, forbid_overwriting, target
+    from replay.runs.log_list import check_outputs, find_logs, target
 
     logs = find_logs(args.logs)
     many = len(logs) > 1 or logs[0].path != args.logs[0]
     pages = [target("--report", args.report, log, ".html", many=many) for log in logs]
     wanted = [page for page in pages if page is not None]
-    if len({path.resolve() for path in wanted}) < len(wanted):
-        raise UsageError(f"--report {args.report}: names the same file for several logs; put {{log}} into it")
-    forbid_overwriting(logs, wanted)
-    for path in wanted:
-        check_output(path)
+    check_outputs(logs, wanted, f"--report {args.report}: names the same file for several logs; put {{log}} into it")
     wrong = failed = False
     for log, report in zip(logs, pages, strict=True):
         try:

@@ -76,13 +76,20 @@ def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: b
     return path
 
 
-def forbid_overwriting(logs: Sequence[LogFile], targets: Sequence[Path]) -> None:
-    """Raise StorageError where one of the files that will be written is one of the logs."""
+def check_outputs(logs: Sequence[LogFile], targets: Sequence[Path], twice: str) -> None:
+    """Raise, before long work, where files could not be written, or one of them is one of the logs.
+
+    UsageError with the text ``twice`` is raised where two have one name, else StorageError.
+    """
+    if len({path.resolve() for path in targets}) < len(targets):
+        raise UsageError(twice)
     parts = (path for log in logs if log.path.is_dir() for path in session_files(log.path))
     read = {path.resolve() for path in (*(log.path for log in logs), *parts)}
     for path in targets:
         if path.resolve() in read:
             raise StorageError(f"{path}: is one of the logs and would be overwritten; write somewhere else")
+    for path in targets:
+        check_output(path)
 
 
 def check_output(path: Path) -> None:

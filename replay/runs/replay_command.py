@@ -157,7 +157,7 @@ def _check(args: argparse.Namespace) -> None:
 
 def _tasks(args: argparse.Namespace, logs: Sequence[LogFile]) -> list[LogTask]:
     """Return what is to be done about each log."""
-    from replay.runs.log_list import check_output, forbid_overwriting, target
+    from replay.runs.log_list import check_outputs, target
     from replay.runs.one_log import LogTask
 
     many = len(logs) > 1 or logs[0].path != args.logs[0]
@@ -190,12 +190,9 @@ def _tasks(args: argparse.Namespace, logs: Sequence[LogFile]) -> list[LogTask]:
             )
         )
     targets = [path for task in tasks for path in task.targets]
-    if len({path.resolve() for path in targets}) < len(targets):
-        raise UsageError("-o, --plot, --rrd and --report name the same file twice; give each output a name of its own")
     outputs = [*targets, *(path for path in (args.alarms, args.table) if path is not None)]
-    forbid_overwriting(logs, outputs)
-    for path in outputs:
-        check_output(path)
+    options = "-o, --plot, --rrd, --report, --alarms or --table"
+    check_outputs(logs, outputs, f"{options} name the same file twice; give each output a name of its own")
     return tasks
 
 

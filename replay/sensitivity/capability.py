@@ -49,42 +49,35 @@ _ACTIVE_SHARE = 0.5
 """In use: its mean effect is at least this share of the root mean square over the recording."""
 
 
-def measure_capability(
-    profile: Profile,
-    logs: Sequence[BatchSource],
-    within_s: Sequence[float] | None = None,
-    count: int = ONSETS,
-) -> tuple[Capability, ...]:
+def measure_capability(profile: Profile, logs: Sequence[BatchSource]) -> tuple[Capability, ...]:
     """Measure what an observer detects, for each fault channel whose alarm has a positive threshold.
 
-    The profile has one observer, with its model. ``within_s`` are the delays asked for; None: :data:`WITHIN_S`, longer
-    in proportion for an observer of few ticks a second. ``count`` onsets are spread over the recordings (where the
-    command matters, for a loss).
+    The profile has one observer, with its model. It is asked for delays of :data:`WITHIN_S`, longer in proportion for
+    an observer of few ticks a second. :data:`ONSETS` are spread over the recordings (where the command matters, for a
+    loss).
     """
     [observer] = profile.observers
     wanted = Pipeline(profile).interests
     played = (play_healthy(profile, (of_names(batch, wanted) for batch in log())) for log in logs)
     recordings = [recording for recording in played if observer.name in recording.flights]
     thresholds = {rule.channel: rule.threshold for rule in observer.alarms}
-    if within_s is None:
-        longer = max(1.0, _TICKS / observer.rate_hz / WITHIN_S[0])
-        within_s = [float(f"{delay * longer:.2g}") for delay in WITHIN_S]
-    limits = sorted(within_s, reverse=True)
+    longer = max(1.0, _TICKS / observer.rate_hz / WITHIN_S[0])
+    limits = [float(f"{delay * longer:.2g}") for delay in WITHIN_S]
     capabilities = []
     for fault in track(observer.faults, f"measuring what {observer.name} will detect", "faults"):
         if (threshold := thresholds.get(fault.name, 0.0)) <= 0.0:
             continue
         typical = _typical_command(fault, [recording.flights[observer.name] for recording in recordings])
         loss = _LOSSES[-1] * typical >= threshold
-        tasks = _tasks(profile, fault, loss, recordings, limits[0] + _TAIL_S, count)
-        detections = _search(tasks, fault, loss, _LOSSES if loss else step_sizes(threshold), limits[-1])
+        sizes = _LOSSES if loss else step_sizes(threshold)
+        tasks = _tasks(profile, fault, loss, recordings, limits[0] + _TAIL_S)
+        detections = _search(tasks, fault, loss, sizes, limits[-1])
         smallest = [
             (within, next((d.size for d in detections if d.worst_s is not None and d.worst_s <= within), None))
             for within in limits
         ]
-        largest = (_LOSSES if loss else step_sizes(threshold))[-1]
         unit = "" if loss else fault.unit
-        capabilities.append(Capability(fault.name, unit, loss, tuple(smallest), largest, tuple(detections)))
+        capabilities.append(Capability(fault.name, unit, loss, tuple(smallest), sizes[-1], tuple(detections)))
     return tuple(capabilities)
 
 
@@ -106,7 +99,7 @@ def _typical_command(fault: FaultChannel, flights: Sequence[Flight]) -> float:
 
 
 def _tasks(
-    profile: Profile, fault: FaultChannel, loss: bool, recordings: Sequence[Healthy], after_s: float, count: int
+    profile: Profile, fault: FaultChannel, loss: bool, recordings: Sequence[Healthy], after_s: float
 ) -> list[tuple[int, Task]]:
     """Return onsets spread over the recordings, where the input matters for a loss, and windows around them."""
     [observer] = profile.observers
@@ -128,7 +121,7 @@ def _tasks(
         for recording in recordings
     ]
     tasks = []
-    for index, onset_ns in onsets(free, count):
+    for index, onset_ns in onsets(free, ONSETS):
         recording = recordings[index]
         window, states = (
             recording.window(onset_ns - before_ns, onset_ns, onset_ns + after_ns),

@@ -101,14 +101,11 @@ def _errors(attack: Attack, fault: FaultChannel, estimates: Estimates, index: in
     samples = estimates.samples
     rows = np.flatnonzero(estimates.armed & (samples.vehicle_time_ns >= from_ns))
     estimate, stamps = estimates.isolated[rows, index], samples.vehicle_time_ns[rows].tolist()
-    if attack.kind == "loss" and fault.input is not None:
+    sizes = attack.sizes(stamps)
+    if sizes is None:
+        return []
+    if attack.kind == "loss":
         command = samples.u[rows, fault.input]
         used = command > _SMALLEST_COMMAND
-        loss = np.array([attack.growth(stamp_ns) for stamp_ns in stamps])
-        return list((estimate[used] / command[used] + loss[used]).tolist())
-    if attack.kind in ("bias", "ramp"):
-        return [e - attack.growth(stamp_ns) for e, stamp_ns in zip(estimate.tolist(), stamps, strict=True)]
-    if attack.kind == "spoof":
-        position = attack.spoof()[0]
-        return [e - position(stamp_ns) for e, stamp_ns in zip(estimate.tolist(), stamps, strict=True)]
-    return []
+        return list((estimate[used] / command[used] + sizes[used]).tolist())
+    return list((estimate - sizes).tolist())
