@@ -16,8 +16,10 @@ from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
-from monitor.profile import Profile
+from monitor.profile import Profile, read_profile
 
+QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
+STAMPS = ("time_usec", "time_boot_ms")
 Forge = Callable[[list[Message], int], Message]
 
 
@@ -244,3 +246,23 @@ def test_the_alarm_clears_when_the_forgeries_end(quad_profile: Profile, data: Pa
         ("impostor", "raised"),
         ("impostor", "cleared"),
     ]
+
+
+def test_what_was_learned_of_a_replayed_stretch_accuses_no_sensor_after_it(data: Path) -> None:
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    start_ns, length_ns, earlier_ns = messages[0].received_ns + 24_000_000_000, 8_000_000_000, 12_000_000_000
+    recorded: dict[str, list[Message]] = {"HIGHRES_IMU": [], "ATTITUDE": [], "GPS_RAW_INT": []}
+    attacked = []
+    for message in messages:
+        sent = message
+        if message.name in recorded:
+            recorded[message.name].append(message)
+            if start_ns <= message.received_ns < start_ns + length_ns:
+                past = [one for one in recorded[message.name] if one.received_ns <= message.received_ns - earlier_ns]
+                stamps = {name: message.fields[name] for name in STAMPS if name in message.fields}
+                sent = replace(message, fields={**past[-1].fields, **stamps})
+        attacked.append(sent)
+    events = events_of(read_profile(QUAD), attacked)
+    [ended] = [event for event in events if event.channel == "impostor" and event.state == "cleared"]
+    assert messages[-1].received_ns - ended.time_ns > 8_000_000_000
+    assert [event.channel for event in events if event.time_ns > ended.time_ns] == []
