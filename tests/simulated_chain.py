@@ -37,6 +37,9 @@ _LINES = np.array([0.9, 1.3, 0.7, 1.1])
 _SHAKE = 0.4
 """Deviation of an axis of the raw accelerations, m/s^2, that is in no line. Twice a turn blades add 0.8 at full
 speed."""
+_GUSTS = np.array([0.015, 0.015, 0.005, 0.03])
+_GAINS = np.array([0.05, 0.05, 0.12])
+_WORKING = {part: np.ones(4) for part in ("esc", "prop", "motor", "balance")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +73,7 @@ def flight(
     """
     rng = np.random.default_rng(seed)
     dt = 1.0 / (RATE_HZ * STEPS)
+    turn, turning = dt * 2.0 * np.pi * _SPEED / 60.0, _MIXER[:, :3].T
     rate, gust, wanted = np.zeros(3), np.zeros(4), np.zeros(4)
     speed, volts = np.full(4, np.sqrt(_HOVER)), FULL_V
     climb, height_sum = 0.0, 0.0
@@ -83,26 +87,27 @@ def flight(
         now_s = k / RATE_HZ
         if k % 30 == 0:
             wanted = rng.normal(0.0, [0.5, 0.5, 0.6, climbs])
-        gust += -gust / RATE_HZ + rng.normal(0.0, [0.015, 0.015, 0.005, 0.03])
-        controls = np.clip((wanted[:3] - rate) * [0.05, 0.05, 0.12], -0.12, 0.12)
+        gust += -gust / RATE_HZ + rng.normal(0.0, _GUSTS)
+        controls = np.clip((wanted[:3] - rate) * _GAINS, -0.12, 0.12)
         height_sum = np.clip(height_sum + (wanted[3] - climb) / RATE_HZ, -20.0, 20.0)
         lift = 0.35 + 0.05 * (wanted[3] - climb) + 0.02 * height_sum
         pulses = np.round(1000.0 + 1000.0 * np.clip(_MIXER @ np.append(controls, lift), 0.03, 1.0))
         acts = fault is not None and fault.onset_s <= now_s < fault.end_s
-        working = {part: np.ones(4) for part in ("esc", "prop", "motor", "balance")}
+        working = _WORKING
         if acts and fault is not None and fault.part in working:
             sign = 1.0 if fault.part in ("motor", "balance") else -1.0
+            working = {**working, fault.part: np.ones(4)}
             working[fault.part][fault.motor - 1] += sign * fault.share
         on_the_way.append((pulses - 1000.0) / 1000.0)
         applied = on_the_way.pop(0) * working["esc"] * volts / FULL_V
+        target = 0.25 + 1.1 * applied - 0.35 * applied**2
         for step in range(STEPS):
-            target = 0.25 + 1.1 * applied - 0.35 * applied**2
             speed = speed + (target - speed) * dt / _LAG_S
             thrust = working["prop"] * speed**2
-            torque = _EFFECT * (_MIXER[:, :3].T @ thrust) / 4.0
+            torque = _EFFECT * (turning @ thrust) / 4.0
             rate = rate + dt * (torque - _DAMPING * rate + gust[:3])
-            angle = angle + dt * 2.0 * np.pi * _SPEED / 60.0 * speed
             if shaken:
+                angle = angle + turn * speed
                 once, twice = _LINES * working["balance"] * speed**2, 0.8 * speed**2
                 force = shaking.normal([0.0, 0.0, felt_m_s2], _SHAKE)
                 force += (once @ np.cos(angle), once @ np.sin(angle), 0.4 * once @ np.cos(angle + 1.0))

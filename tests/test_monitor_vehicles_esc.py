@@ -32,8 +32,9 @@ ORDER = (1, 3, 0, 2)
 
 def fit(logs: list[list[Message]], folder: Path) -> FitReport:
     with pytest.MonkeyPatch.context() as patch:
-        # what a profile will detect is measured in other tests
+        # what a profile will detect is measured, and its comparison drawn, in other tests
         patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
+        patch.setattr("replay.fit.draw_comparison", lambda *_: None)
         return fit_profile("multirotor", [partial(packed, log) for log in logs], folder, "quad")
 
 
