@@ -52,8 +52,8 @@ def block_matrix(blocks: Sequence[Sequence[Any]]) -> Any:
 
     size = len(blocks)
     kept = [i for i in range(size) if blocks[i][0].shape[0] > 0]
-    full = [[blocks[i][j - i] if j >= i else blocks[j][i - j].T for j in kept] for i in kept]
-    return cp.bmat(full)
+    full = cp.bmat([[blocks[i][j - i] if j >= i else blocks[j][i - j].T for j in kept] for i in kept])
+    return 0.5 * (full + full.T)
 
 
 def solve_tempered(

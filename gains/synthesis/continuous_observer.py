@@ -49,9 +49,7 @@ class ContinuousObserver:
     start: FloatArray  # s at a restart from y (ns, p)
     sqrt_mu: float | None = None  # the bound its synthesis reports, None where it reports none
     matrices: ObserverMatrices | None = None  # the matrices of the paper's structure where the observer has it
-    # time in the solver and in all, seconds
-    solve_s: float = 0.0
-    total_s: float = 0.0
+    solve_s: float = 0.0  # time in the solver, seconds
     notes: tuple[str, ...] = ()  # what a person should know about this observer
 
     @property
@@ -115,7 +113,7 @@ def designed_observer(plant: Plant, design: Design) -> ContinuousObserver:
     """Return the observer of a continuous design."""
     gains = design.gains
     observer = fauio_observer(plant, gains.K, gains.L_i, gains.L_p, design.method, gains)
-    return replace(observer, sqrt_mu=design.sqrt_mu, solve_s=design.solve_s, total_s=design.total_s, notes=design.notes)
+    return replace(observer, sqrt_mu=design.sqrt_mu, solve_s=design.solve_s, notes=design.notes)
 
 
 def check_continuous(plant: Plant) -> None:
