@@ -480,7 +480,6 @@ cdef nanoseconds _median(nanoseconds* steps, Py_ssize_t count) noexcept:
 
 cdef enum Kind:
     _LINEAR
-    _WRAPPING
     _PREVIOUS
     _MEAN
 
@@ -707,8 +706,6 @@ cdef class Lane:
         for i in range(self.width):
             column = self.columns + i
             if column.kind == _LINEAR:
-                vector[column.place] = left[i] + (right[i] - left[i]) * fraction
-            elif column.kind == _WRAPPING:
                 vector[column.place] = left[i] + _turned(left[i], right[i], column.period) * fraction
             elif column.kind == _PREVIOUS:
                 vector[column.place] = left[i]
@@ -840,8 +837,6 @@ cdef class Stream:
                 lane.averages = True
             elif channel.interpolation == "previous":
                 column.kind = _PREVIOUS
-            elif channel.period is not None:
-                column.kind = _WRAPPING
         self.lanes = [lane]
         self.senders = Interleaved([channel.period or 0.0 for channel in self.channels])
         self.before = Repeats() if len(group) >= SENSES else None
@@ -1484,12 +1479,13 @@ def sample_batch(VehicleClock clock not None, samplers, batch, bint stops=False)
         feeds = _interested(samplers, columns.name)
         if feeds:
             groups.append(_of_columns(columns, feeds))
-    for place, message in batch.others.items():
+    for place in sorted(batch.others):
+        message = batch.others[place]
         singles.setdefault(message.name, []).append((place, message))
     for name, members in singles.items():
         feeds = _interested(samplers, name)
         if feeds:
-            groups.append(_of_messages(sorted(members, key=_place), feeds))
+            groups.append(_of_messages(members, feeds))
     newest_ns = np.empty(count, np.int64)
     newest = <nanoseconds*>_data(newest_ns)
     owner = <int*>PyMem_Malloc((count + 1) * sizeof(int))
@@ -1516,10 +1512,6 @@ def sample_batch(VehicleClock clock not None, samplers, batch, bint stops=False)
         PyMem_Free(owner)
     collected = [(<SamplerCore?>sampler).collect() for sampler in samplers]
     return Taken(tuple([pair[0] for pair in collected]), tuple([pair[1] for pair in collected]), newest_ns, used)
-
-
-def _place(member):
-    return member[0]
 
 
 cdef list _interested(samplers, name):
