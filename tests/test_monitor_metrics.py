@@ -166,6 +166,7 @@ def test_openmetrics_is_given_to_whoever_asks_for_it() -> None:
             Health(ProcessHealth(), links=(LinkHealth("udp:x", unread=4),)),
             "the monitor does not keep up: 4 packets",
         ),
+        (Health(ProcessHealth(), links=(LinkHealth("udp:x", answers=False),)), "link udp:x does not answer"),
         (
             Health(
                 ProcessHealth(), (VehicleHealth("rover", "stale", recorder=ArchiveStatistics(trouble="disk full")),)

@@ -90,6 +90,7 @@ class LinkHealth:
     lost_by_system: Mapping[int, int] = field(default_factory=dict)
     figures: LinkFigures = field(default_factory=LinkFigures)  # delay, jitter and lost share of the last minute
     unread: int = 0  # packets of the last minute that the kernel, or the link's queue, dropped before they were read
+    answers: bool = True  # whether its thread comes round: one that hangs reads nothing
 
 
 Figures = Callable[[str, int, int | None], LinkFigures]
@@ -142,7 +143,7 @@ def problems(health: Health) -> list[str]:
         found.append(f"the main loop has stood still for {process.loop_age_s:.0f} s")
     if process.inbox_capacity and process.inbox_depth >= process.inbox_capacity:
         found.append(f"the inbox is full ({process.inbox_depth} messages): messages are dropped")
-    found += overload(process.inbox_dropped_minute, {link.name: link.unread for link in health.links})
+    found += troubles(health)
     for vehicle in health.vehicles:
         if vehicle.impostor is not None:
             found.append(f"{vehicle.name}: a second sender speaks in its name: {vehicle.impostor}")
@@ -153,19 +154,19 @@ def problems(health: Health) -> list[str]:
     journal = health.journal
     if journal is not None and not journal.open:
         found.append(f"the journal cannot be opened: {journal.last_error}")
-    elif journal is not None and journal.pending:
-        found.append(f"{journal.pending} alarm events wait for the journal: {journal.last_error}")
     return found
 
 
-def overload(dropped: int, unread: Mapping[str, int]) -> list[str]:
-    """Return a line for each place where telemetry of the last minute was dropped, by links' names where unread."""
-    found = [f"the monitor does not keep up: {dropped} messages dropped in the last minute"] if dropped else []
-    return found + [
-        f"the monitor does not keep up: {count} packets of {name} dropped unread in the last minute"
-        for name, count in unread.items()
-        if count
-    ]
+def troubles(health: Health) -> list[str]:
+    """Return those of them that concern all vehicles, for the status of each."""
+    found = [f"link {link.name} does not answer" for link in health.links if not link.answers]
+    drops = {f"packets of {link.name} dropped unread": link.unread for link in health.links}
+    drops = {"messages dropped": health.process.inbox_dropped_minute} | drops
+    found += [f"the monitor does not keep up: {n} {what} in the last minute" for what, n in drops.items() if n]
+    journal = health.journal
+    if journal is not None and journal.pending:
+        found.append(f"{journal.pending} alarm events wait for the journal: {journal.last_error}")
+    return found
 
 
 def health_json(health: Health) -> dict[str, Any]:

@@ -33,7 +33,7 @@ from monitor.recording.recover import finish_all
 from monitor.recording.retention import FileSeries
 from monitor.sampling.slow_telemetry import motor_gain
 from monitor.service.fleet import Fleet
-from monitor.service.health import Health, LinkHealth, ProcessHealth, link_health, overload
+from monitor.service.health import Health, LinkHealth, ProcessHealth, link_health, troubles
 from monitor.service.inbox import Inbox
 from monitor.service.links import Counting
 from monitor.service.log import Level, ServiceLog
@@ -151,19 +151,23 @@ class Station:
             if self._journal is not None:
                 self._journal.retry()
             dropped, unread = self._dropped_lately()
-            self._troubles = tuple(self._find_troubles(dropped, unread))
             journal = None if self._journal is None else self._journal.statistics()
-            waiting = self._inbox.statistics()
+            waiting, stuck = self._inbox.statistics(), self._inbox.stuck()
             self._health = Health(
                 ProcessHealth(0.0, waiting.waiting, self._inbox.limit, waiting.dropped, dropped),
                 tuple(service.health() for service in self.services),
                 tuple(
-                    replace(link_health(name, link.statistics(), self._inbox.figures), unread=unread[name])
+                    replace(
+                        link_health(name, link.statistics(), self._inbox.figures),
+                        unread=unread[name],
+                        answers=name not in stuck,
+                    )
                     for name, link in self._links.items()
                 ),
                 journal,
                 tuple(outlet for messenger in self._messengers for outlet in messenger.health()),
             )
+            self._troubles = tuple(troubles(self._health))
             self._beat()
             if self._ros is not None:
                 self._ros.publish(self._health, time.time_ns())
@@ -370,13 +374,6 @@ class Station:
         dropped_before, unread_before = self._minute[0]
         before = dict.fromkeys(unread, 0) | unread_before
         return self._minute[-1][0] - dropped_before, {name: count - before[name] for name, count in unread.items()}
-
-    def _find_troubles(self, dropped: int, unread: Mapping[str, int]) -> list[str]:
-        found = [f"link {name} does not answer" for name in self._inbox.stuck()]
-        found += overload(dropped, unread)
-        if self._journal is not None and (counts := self._journal.statistics()).pending:
-            found.append(f"{counts.pending} events are not in the journal yet: {counts.last_error}")
-        return found
 
 
 def _models(profile: Profile) -> dict[str, bytes]:
