@@ -108,7 +108,8 @@ def main() -> None:
             "pyulog": [python, "-c", "import sys; from pyulog import ULog; ULog(sys.argv[1])", str(log)],
             "info": [*command, "info", str(log)],
             "convert": [*command, "convert", str(log), "-o", str(out)],
-            "replay": [*command, "replay", str(args.profile), str(log)],
+            # the log is in the format of another autopilot than the one that flew
+            "replay": [*command, "replay", "--force", str(args.profile), str(log)],
         }
         found: dict[str, float] = {"mb": round(log.stat().st_size / 1e6, 1)}
         for name, one in commands.items():
