@@ -83,12 +83,7 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     signals["height"] = get("BARO", ["Alt"], ["barometer"], "m").above_begin()
     kalman = "XKF" if ("XKF4", 0) in set(records.names()) else "NKF"
     signals["height_estimate"] = get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0).above_begin()
-    signals["position_flown"] = _position_flown(records, texts)
-    lanes = [lane for k in ("", "/1", "/2") if (lane := get(f"{kalman}1{k}", ["PN", "PE"], ["north", "east"], "m"))]
-    if lanes:
-        values = np.concatenate([lane.at(lanes[0].time_s) for lane in lanes], axis=1)
-        names = tuple(f"{axis} {k}" for k in range(len(lanes)) for axis in ("north", "east"))
-        signals["position_estimated"] = replace(lanes[0], values=values, names=names)
+    signals["position_apart"] = _position_apart(records, kalman, texts)
     # planes do not log when they take off
     received = get("GPS", ["Alt"], ["receiver"], "m").above_begin()
     lifted = off_ground(signals["height"], received)
@@ -139,15 +134,25 @@ def _outputs(records: LogRecords, numbers: Sequence[int]) -> LogSignal:
     return first_known(*known)
 
 
-def _position_flown(records: LogRecords, texts: Sequence[tuple[float, str]]) -> LogSignal:
-    """Return the position that the controller flies by; before 4.0 ArduPilot had centimetres under the same name."""
-    if any(" V3." in text for _, text in texts):
+def _position_apart(records: LogRecords, kalman: str, texts: Sequence[tuple[float, str]]) -> LogSignal:
+    """Return how far the position that the controller flies by is from the nearest of those that lanes estimate.
+
+    Before 4.0 ArduPilot logged the controller's in centimetres under the same name.
+    """
+    north = first_known(
+        *(records.signal(name, [field], ["apart"], "m") for name, field in (("PSCN", "PN"), ("PSC", "PX")))
+    )
+    east = first_known(
+        *(records.signal(name, [field], ["apart"], "m") for name, field in (("PSCE", "PE"), ("PSC", "PY")))
+    )
+    lanes = [records.signal(f"{kalman}1{k}", ["PN", "PE"], ["north", "east"], "m") for k in ("", "/1", "/2")]
+    times = north.time_s
+    if not (east and any(lanes)) or any(" V3." in text for _, text in texts):
         return NO_SIGNAL
-    north, east = (records.signal(f"PSC{axis}", [f"P{axis}"], [axis], "m") for axis in "NE")
-    both = np.concatenate([north.values, east.at(north.time_s)], axis=1) if east else np.empty((0, 2))
-    names = ("north", "east")
-    newer = replace(north, time_s=north.time_s[: len(both)], values=both, names=names, origin="PSCN, PSCE")
-    return first_known(newer, records.signal("PSC", ["PX", "PY"], names, "m"))
+    flown = np.stack([north.only, np.interp(times, east.time_s, east.only)])
+    estimated = [[np.interp(times, lane.time_s, axis) for axis in lane.values.T] for lane in lanes if lane]
+    apart = np.min([np.hypot(*(flown - lane)) for lane in estimated], axis=0)
+    return replace(north, values=apart[:, None], origin=f"{north.origin} against {kalman}1")
 
 
 def _rpm(records: LogRecords) -> LogSignal:
