@@ -2,11 +2,8 @@
 
 import fcntl
 import gc
-import hashlib
 import os
-import pickle
 import signal
-import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
@@ -118,24 +115,11 @@ def inequalities_solved_once(tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
     Solutions are kept with the run's own temporary files, by all that goes into the inequality.
     """
-    from gains.synthesis.bounded_real import Inequality, Solution, solve_bounded_real
+    from kept_solutions import kept_solutions
 
     folder = made_once(tmp_path_factory, "solutions", Path.mkdir)
-
-    def solved(problem: Inequality, fixed: tuple[float, float] | None = None) -> tuple[Solution | None, float]:
-        started = time.perf_counter()
-        kept = folder / hashlib.sha256(pickle.dumps((problem, fixed))).hexdigest()
-        if not kept.exists():
-            found, seconds = solve_bounded_real(problem, fixed)
-            partial = kept.with_suffix(f".{os.getpid()}")
-            partial.write_bytes(pickle.dumps(found))
-            partial.replace(kept)
-            return found, seconds
-        found = pickle.loads(kept.read_bytes())  # noqa: S301 - written by this run
-        return found, time.perf_counter() - started
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gains.synthesis.convex.solve_bounded_real", solved)
+        patch.setattr("gains.synthesis.convex.solve_bounded_real", kept_solutions(folder))
         yield
 
 
