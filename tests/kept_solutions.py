@@ -4,7 +4,7 @@ import hashlib
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,8 @@ def kept_solutions(folder: Path) -> Solve:
 
     def solved(problem: Inequality, fixed: tuple[float, float] | None = None) -> tuple[Solution | None, float]:
         started = time.perf_counter()
-        kept = folder / f"{digest(asdict(problem), fixed)}.npz"
+        # the name of the plant is for errors, which are not kept
+        kept = folder / f"{digest(asdict(replace(problem, name='')), fixed)}.npz"
         if kept.exists():
             with np.load(kept, allow_pickle=False) as fields:
                 found: dict[str, Any] = {name: value if value.ndim else float(value) for name, value in fields.items()}

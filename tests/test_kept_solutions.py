@@ -30,7 +30,7 @@ def test_a_kept_solution_is_the_solvers_to_the_bit_and_no_other_inequality_has_i
         return None, 0.0
 
     monkeypatch.setattr("kept_solutions.solve_bounded_real", unsolved)
-    again, _ = solve(problem, None)
+    again, _ = solve(replace(problem, name="of another name"), None)
     assert calls == []
     for field in fields(Solution):
         found = [np.asarray(getattr(one, field.name)) for one in (expected, first, again)]
