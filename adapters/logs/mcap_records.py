@@ -33,6 +33,7 @@ UNREADABLE = (struct.error, ValueError, KeyError, OverflowError, EOFError, Runti
 """What decompressing and decoding damaged bytes raises."""
 
 _LENGTH = struct.Struct("<Q")
+# Chosen: compressions are called lz4 and zstd; what claims a much longer name is damage
 _LONGEST_NAME = 16
 # bytes of each kind of record where its texts and lists are empty
 _LEAST_BYTES: dict[int, int] = {

@@ -29,6 +29,7 @@ UNWATCHED_HATCH = "//////"
 # where an estimate leaves its panel, at most so many marks say so
 BEYOND_MARKS = 80
 
+# letters of a name that the margin beside a panel holds
 LONGEST_NAME = 24
 # as many whatever the panel's height, else the layout leaves room for other labels than are drawn
 TICKS = 4

@@ -94,6 +94,7 @@ class LogSignal:
 
 
 NO_SIGNAL = LogSignal(np.empty(0), np.empty((0, 1)), ("",), "", "")
+"""What a log does not hold: a signal of one column without a row."""
 UNKNOWN_LEVEL = 8
 """Of a text in a log that does not say how severe it is; MAVLink's severities end with 7."""
 
