@@ -209,7 +209,8 @@ class EvidenceFlow:
     def _labels(self, lost: NDArray[np.bool_]) -> Iterator[str]:
         for group in self.groups:
             if lost[group.columns].all():
-                yield group.label or " and no ".join(group.messages) or self.name
+                # messages that come all the same may be too late, or of no time that can be told
+                yield group.label or f"usable {' and '.join(group.messages) or self.name}"
 
     def _label_of(self, message: str) -> str:
         return next((group.label for group in self.groups if group.label and message in group.messages), message)
