@@ -360,9 +360,11 @@ def misses(outcomes: Sequence[Outcome]) -> list[str]:
     for outcome in outcomes:
         where = f"{outcome.case} ({outcome.group})"
         if outcome.refused:
-            lines.append(f"- not tried: {where}: {outcome.refused}")
+            lines.append(f"- not tried: {where}: {outcome.refused.partition(';')[0]}")
         elif outcome.delay_s is None and not outcome.said:
-            lines.append(f"- {'named wrongly' if outcome.named else 'not seen'}: {where} {', '.join(outcome.named)}")
+            lines.append(
+                f"- named wrongly: {where} {', '.join(outcome.named)}" if outcome.named else f"- not seen: {where}"
+            )
         elif outcome.others:
             lines.append(f"- not alone: {where}, also {', '.join(outcome.others)}")
         if outcome.named and (outcome.cleared_s is None or outcome.cleared_s > SLOW_TO_CLEAR_S):
