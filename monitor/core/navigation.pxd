@@ -38,8 +38,8 @@ cdef class Navigation:
     cdef double[9] _R
     cdef double[3] _rate
     cdef double[3] _force
-    # Of the gyros and then of the accelerometers: by how much each changed over the tick before, and the variance of its
-    # noise.
+    # Of the gyros and then of the accelerometers: by how much each changed over the tick before, and the variance of
+    # its noise.
     cdef double[6] _change
     cdef double[6] _noise
     # The force in the axes of the gyros, how it turns with them, north, east, down, and how late they are.
