@@ -148,11 +148,10 @@ def messages(flight: Flight) -> Iterator[fauio.Message]:
             yield message("EXTENDED_SYS_STATE", time_ns, landed_state=2 if flight.flying[k] else 1)
 
 
-def named_by_profile(normal: Sequence[Flight], watched: Sequence[Flight]) -> list[set[str]]:
-    """Return the motors that alarms name in each flight, with a profile of normal ones."""
+def fitted(normal: Sequence[Flight]) -> fauio.Profile:
+    """Return the profile of normal flights."""
     from adapters.batch import pack
     from replay.fit import fit_profile
-    from replay.player import play
 
     def batches(flight: Flight) -> Iterator[fauio.Batch]:
         yield pack(list(messages(flight)))
@@ -160,7 +159,14 @@ def named_by_profile(normal: Sequence[Flight], watched: Sequence[Flight]) -> lis
     with tempfile.TemporaryDirectory() as folder:
         logs = [lambda flight=flight: batches(flight) for flight in normal]
         fit_profile("multirotor", logs, Path(folder) / "profile", normal[0].vehicle)  # type: ignore[arg-type]
-        profile = fauio.read_profile(Path(folder) / "profile")
+        return fauio.read_profile(Path(folder) / "profile")
+
+
+def named_by_profile(normal: Sequence[Flight], watched: Sequence[Flight]) -> list[set[str]]:
+    """Return the motors that alarms name in each flight, with a profile of normal ones."""
+    from replay.player import play
+
+    profile = fitted(normal)
     return [
         {event.channel for event in play(profile, messages(flight)).events if event.state == "raised"}
         for flight in watched
@@ -180,6 +186,20 @@ def named_by(score: Score) -> Callable[[Sequence[Flight], Sequence[Flight]], lis
         return [{f"motor{1 + int(one.argmax())}"} if one.max() > max(left_out) else set() for one in scores]
 
     return named
+
+
+def named_by_size(normal: Sequence[Flight], watched: Sequence[Flight]) -> list[set[str]]:
+    """Return the motors whose mean estimated loss is above the largest in a normal flight that was left out."""
+
+    def losses(profile: fauio.Profile, flight: Flight) -> Floats:
+        outputs = fauio.Pipeline(profile).run(fauio.pack(list(messages(flight))))
+        rows = [one for one in outputs if isinstance(one, fauio.Estimates) and one.observer == "motors"]
+        return -np.concatenate([one.isolated[one.armed] for one in rows]).mean(axis=0)
+
+    profile = fitted(normal)
+    left_out = [losses(fitted([one for one in normal if one is not flight]), flight).max() for flight in normal]
+    found = [losses(profile, flight) for flight in watched]
+    return [{f"motor{1 + int(one.argmax())}"} if one.max() > max(left_out) else set() for one in found]
 
 
 def mean_command(normal: Sequence[Flight], flight: Flight) -> Floats:
@@ -285,7 +305,11 @@ def main() -> int:
         return 2
     flights = [read_flight(path) for path in paths]
     rivals = {"mean command": mean_command, "GLR": glr, "CUSUM": cusum, "Kalman bank": kalman}
-    detectors = {"fauio": named_by_profile, **{name: named_by(score) for name, score in rivals.items()}}
+    detectors = {
+        "fauio": named_by_profile,
+        "its estimates": named_by_size,
+        **{name: named_by(score) for name, score in rivals.items()},
+    }
     result: dict[str, object] = {}
     for detector, names in detectors.items():
         of_all: list[tuple[Flight, set[str]]] = []
