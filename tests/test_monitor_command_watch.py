@@ -134,7 +134,7 @@ def test_ordinary_commands_raise_nothing(profile: Profile, flight: list[Message]
 def test_one_forged_report_of_landing_makes_no_stranger_known(profile: Profile, flight: list[Message]) -> None:
     at_ns = flight[-1].received_ns - 30_000_000_000
     attack = [disarmed([], at_ns), long(512, 30.0, at_ns + 1_000_000), long(400, 0.0, at_ns + 3_000_000_000)]
-    assert [event.channel for event in events_of(profile, with_commands(flight, attack))][:1] == ["command"]
+    assert [event.channel for event in events_of(profile, with_commands(flight, attack))][:2] == ["impostor", "command"]
 
 
 def test_a_line_of_the_configuration_switches_it_off(profile: Profile, flight: list[Message]) -> None:
