@@ -128,3 +128,11 @@ def test_a_loss_of_a_command_that_moves_is_known_as_well_as_the_estimate_follows
     error = np.abs(isolated[:, 0] + 0.15 * u)[100:]
     assert error.max() > 1e-3
     assert np.mean(error <= 2.0 * sd[100:, 0]) > 0.95
+
+
+def test_a_fault_of_what_is_driven_both_ways_is_no_share_of_its_command() -> None:
+    u = np.sin(0.05 * np.arange(400.0))
+    fault = np.full((400, 1), 2.0)
+    scale = CommandScale(np.ones((1, 1)), np.zeros(1, np.intp), np.zeros(1, np.intp), 0.8)
+    _, _, sd, _ = scale.run(u[:, None], np.arange(len(u)) == 0, fault, fault, np.full_like(fault, 1e-4))
+    assert sd[70:] == pytest.approx(1e-4)

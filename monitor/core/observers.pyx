@@ -324,12 +324,15 @@ cdef class CommandScale:
     cdef double[:, ::1] curves
     cdef Py_ssize_t[::1] inputs, channel
     cdef double[::1] command, before
+    # whether an input has been commanded both ways: then it drives what pushes and pulls, and no fault is a share of it
+    cdef unsigned char[::1] both
     cdef double keep
 
     def __init__(self, curves, inputs, channel, keep):
         self.curves = np.ascontiguousarray(curves, np.float64)
         self.inputs, self.channel = inputs.astype(np.intp), channel.astype(np.intp)
         self.command, self.before = np.zeros((2, len(inputs)))
+        self.both = np.zeros(len(inputs), np.uint8)
         self.keep = keep
 
     def run(self, const double[:, :] u, const unsigned char[:] restart, const double[:, :] fault,
@@ -351,6 +354,7 @@ cdef class CommandScale:
                 if restart[k]:
                     self.command[i] = size
                 self.before[i] = self.command[i]
+                self.both[i] |= size * self.command[i] < 0.0
                 self.command[i] = keep * self.command[i] + (1.0 - keep) * size
                 commands[i, k] = self.command[i]
             for i in range(faults):
@@ -363,7 +367,7 @@ cdef class CommandScale:
                     scaled_evidence[k, i] = self.scaled(channel, evidence[k, i])
                     # What is a share of the command is as far behind it as the command that is smoothed alike, which
                     # the measurements of a row show that of the row before.
-                    if self.before[channel] != 0.0:
+                    if self.before[channel] != 0.0 and not self.both[channel]:
                         behind = scaled_evidence[k, i] * (u[k, self.inputs[channel]] / self.before[channel] - 1.0)
                 scaled_fault[k, i] = size
                 scaled_sd[k, i] = hypot(upper - size, behind)
