@@ -87,7 +87,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     others = sorted((name for name in files if name not in WAITING), key=lambda name: (name != FITS, name))
     place = {name: float(k) for k, name in enumerate(others)}
     place |= {name: 0.5 * len(others) * k / len(waiting) - 0.5 for k, name in enumerate(waiting)}
-    items.sort(key=lambda item: place[item.path.name])
+    items.sort(key=lambda item: (place[item.path.name], item.path.name))
 
 
 @pytest.fixture(scope="session")
