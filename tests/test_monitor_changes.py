@@ -13,6 +13,7 @@ from adapters.logs.recordings import read_batches
 from adapters.sample import Samples
 from adapters.toml_tables import parse_toml, toml_value
 from monitor import chain
+from monitor.core.changes import ChangeTest
 from monitor.estimation.changes import CLIP, ChangeRule, ChangeRun, ChangeStage, changes_table, predictor, read_changes
 from monitor.event import AlarmEvent
 from monitor.fitting.changes import fit_changes, healthy_nats
@@ -221,6 +222,29 @@ def test_what_alarms_do_not_ask_of_sudden_changes_makes_no_difference_to_them(mo
     assert any(event.state == "raised" for event in found)
     monkeypatch.setattr(chain, "nats_asked", lambda alarms, evidence, *_: np.zeros(len(evidence)))
     assert events() == found
+
+
+@pytest.mark.parametrize("first", [1e-7, 1e-9, 1e-15])
+def test_a_lag_that_lets_next_to_nothing_through_at_first_explains_what_one_that_lets_nothing_does(
+    first: float,
+) -> None:
+    rng, n = np.random.default_rng(0), 1_000
+    u, noise = 0.5 + 0.1 * rng.normal(size=n), 0.01 * rng.normal(size=n)
+    acting = np.convolve(u, [0.0, 0.0, 0.7, 0.3])[:n]
+    y = np.convolve(noise - 0.5 * acting, 0.9 ** np.arange(200))[:n]
+    flags, nobody = np.ones(n, np.uint8), np.zeros((n, 1))
+
+    def nats(taps: list[float]) -> NDArray[np.float64]:
+        additions, none, only = np.zeros((6, 0, 1)), np.zeros(0, np.intp), np.zeros(1, np.intp)
+        test = ChangeTest(
+            np.array([[0.9, -0.5, 0.0]]), np.ones((1, 1)), np.array(taps), only, only, additions, additions[:, :, 0],
+            none, none, only, False, 2.0, HZ, np.zeros((1, 1, 1)),
+            np.array([[1e-4, 0.0, 0.0]]), 5, 200, CLIP, 1_000.0,
+        )  # fmt: skip
+        times_ns = np.arange(n) * 10_000_000
+        return test.run(u[:, None], y[:, None], flags, np.eye(1, n, dtype=np.uint8)[0], times_ns, flags, nobody)[1]
+
+    assert nats([first, 0.7, 0.3]) == pytest.approx(nats([0.0, 0.7, 0.3]), abs=1.0)
 
 
 def test_samples_that_are_not_evidence_or_incomplete_name_nothing(rule: ChangeRule) -> None:

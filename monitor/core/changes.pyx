@@ -29,7 +29,8 @@ cdef double LARGEST_LOSS = 1.25
 # Smallest determinant of two onsets' information, as a share of the product of its diagonal, with which both are fitted
 # together: below it they are one and the difference is rounding.
 cdef double SMALLEST_DETERMINANT = 1e-9
-# Share of nats that is rounding.
+# Share of nats that is rounding, and of what settled onsets share: an onset that has less of its own says nothing yet.
+# Sums of ROOM rows are exact to 1e-14 of themselves; chosen: a hundred times that.
 cdef double NEARLY = 1e-12
 # Rows between two moves of what is kept of onsets. Chosen: a move costs each of them a share of a row's work, and sums
 # over so few rows lose no digit that counts.
@@ -87,12 +88,17 @@ cdef void compare(const double* moment, const double* information, const double*
     """Take each onset, and where ``mixed`` is given each time between it and the next, for the best if it is better."""
     cdef Py_ssize_t age
     cdef double along, square, cross, determinant, explained, early, late, nats = found.nats
+    cdef double least = NEARLY * settled_square
     # of the onset a row later
     cdef double next_along = 0.0, next_square = 0.0
-    if first > 0:
-        next_along, next_square = moment[first - 1] + settled_along, information[first - 1] + settled_square
-    for age in range(first, end):
+    for age in range(max(first - 1, 0), end):
         along, square = moment[age] + settled_along, information[age] + settled_square
+        if square <= least:
+            next_along = next_square = 0.0
+            continue
+        if age < first:
+            next_along, next_square = along, square
+            continue
         if along * along > 2.0 * nats * square:
             nats = 0.5 * along * along / square
             found[0] = Fitted(nats, along / square, 1.0 / square, 0.0, age)
