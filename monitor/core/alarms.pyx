@@ -379,9 +379,9 @@ cdef class ChainRows:
 
 def nats_asked(alarms, const double[:, :] evidence, const uint8_t[:, :] speaking, const double[:, :] scale,
                const double[:] beyond):
-    """Return the nats with fewer of which a sudden change makes no difference to any alarm, by row (n,).
+    """Return the fewest nats with which a sudden change can make a difference to any alarm, by row (n,).
 
-    Those are the fewest that raise an alarm, as many times more as errors are larger by the square; none where
+    Those are the fewest that raise an alarm, as many times more as errors are larger by the square; 0 where
     evidence may raise one, whose size a sudden change then tells.
 
     Parameters

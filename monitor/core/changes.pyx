@@ -310,7 +310,7 @@ cdef class ChangeTest:
         believed : float64 (N, a)
             Signed size of each of the observer's faults as it believes it.
         asked : float64 (N,), optional
-            Nats with fewer of which a row names no fault; 0 where it is left out.
+            Fewest nats with which a row names a fault; 0 where it is left out.
         """
         cdef Py_ssize_t k, owner, count = u.shape[0]
         cdef double sign = -1.0 if self.m else 1.0
