@@ -332,7 +332,9 @@ def test_whatever_was_flushed_survives_kills_at_random_moments(tmp_path: Path, a
         found = numbers(folder)
         assert found == [*range(len(found))]
         assert len(found) >= flushed
-        for path in files(folder):
+        held = [path for path in files(folder) if path.stat().st_size]
+        assert len(files(folder)) - len(held) <= 1  # one may be as new as the kill, and hold nothing yet
+        for path in held:
             reader = MessageLogReader(path)
             count = len(list(reader))
             assert reader.scan.damaged_chunks == reader.damaged_records == 0
