@@ -352,7 +352,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         gains=gains,
         faults=faults,
         source=read_source(table, shared),
-        isolation=read_isolation(isolation, len(faults), len(shared.outputs)),
+        isolation=read_isolation(isolation, len(shared.outputs)),
         alarms=_alarms(table.table("alarms"), name, faults),
         settle_s=table.number("settle_s", 0.0, at_least=0.0),
         effectiveness=read_effectiveness(

@@ -17,7 +17,7 @@ from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.estimator import Estimator, make_estimator
-from monitor.estimation.isolation_rule import BankRule, IndependentRule, SingleRule
+from monitor.estimation.isolation_rule import BankRule, IndependentRule
 from monitor.estimation.observer import FaultSet, Observer, ObserverRun
 from monitor.estimation.uncertainty import Uncertainty
 
@@ -60,10 +60,6 @@ def estimator(gains: tuple[Gains, ...], kind: str) -> Estimator:
         washouts = {"left": 0.4, "right": 0.2}
         rule = BankRule(0.03, 0.2, 3.0, 25.0, hypotheses, (1e-4 * np.eye(2),) * 4, edges, washouts, usual_score=1.0)
         return make_estimator(AffineObserver(gains), rule, NAMES, THRESHOLDS)
-    if kind == "single":
-        return make_estimator(
-            AffineObserver(gains[3:]), SingleRule(0.05, 0.2, 3.0, 5.0, 1e-4 * np.eye(2)), ("left", "gyro"), {}
-        )
     return make_estimator(AffineObserver(gains[3:]), IndependentRule(0.05), ("left", "gyro"), {})
 
 
@@ -83,7 +79,7 @@ def flight(rng: np.random.Generator, count: int) -> Samples:
     return Samples(index, index, index, u, y, restart, complete, index, ~lost, np.tile(lost[:, None], 3))
 
 
-@given(kind=st.sampled_from(["bank", "bank", "single", "independent"]), seed=st.integers(0, 100_000), parts=cuts(500))
+@given(kind=st.sampled_from(["bank", "independent"]), seed=st.integers(0, 100_000), parts=cuts(500))
 def test_cuts_do_not_change_a_bit(gains: tuple[Gains, ...], kind: str, seed: int, parts: list[slice]) -> None:
     samples = flight(np.random.default_rng(seed), 500)
     armed = np.arange(500) > 50
@@ -131,7 +127,7 @@ def test_an_observer_of_another_kind_is_used_like_compiled_gains() -> None:
 
 
 def test_without_measurements_the_evidence_stays(gains: tuple[Gains, ...]) -> None:
-    for kind in ("bank", "single", "independent"):
+    for kind in ("bank", "independent"):
         samples = flight(np.random.default_rng(5), 60)
         samples.measured[40:], samples.restart[:] = False, False
         run = estimator(gains, kind).run(samples, samples.measured)

@@ -25,7 +25,7 @@ from gains.synthesis.gains_file import Gains
 from monitor.alarms.alarm import MEASURED, TUNABLE, AlarmRule
 from monitor.alarms.excuse import ExcuseRule
 from monitor.estimation.effectiveness import EffectivenessRule
-from monitor.estimation.isolation_rule import METHODS, BankRule, SingleRule
+from monitor.estimation.isolation_rule import METHODS, BankRule
 from monitor.profile import ObserverProfile, Profile, read_profile
 from monitor.sampling.gate import GateRule
 from monitor.sampling.identity import Identity
@@ -57,12 +57,6 @@ _GAINS_HEAD = """# Keys of a gains file
 back to the same bits. Matrices are objects with `shape` and `rows`. Gains are made for one version of a model, by its
 hash.
 """
-_SHARED = {"smoothing_s", "tolerance", "score_floor", "gain_penalty"}
-_BANK = {
-    "tolerance": "Share of the worst hypothesis' score that model error may leave on the right one.",
-    "score_floor": "Score sqrt(r' S^-1 r) that healthy flight does not reach.",
-    "gain_penalty": "How much more evidence an actuator needs that would deliver more than commanded.",
-}
 
 
 class Words(str):
@@ -81,8 +75,8 @@ def profile_page() -> str:
         "mass_kg": minimal.mass_kg,
     }
     isolation = {key: getattr(observer.isolation, key) for key in ("smoothing_s", "tolerance", "gain_penalty")}
-    single = parameters_of(SingleRule)
-    bank = {key: (single[key][0], _BANK.get(key, single[key][1])) for key in single if key in _SHARED}
+    bank = parameters_of(BankRule)
+    shared = {key: bank[key] for key in ("smoothing_s", "tolerance", "score_floor", "gain_penalty")}
     alarms = {key: getattr(rule, key) for key in TUNABLE if key != "threshold"}
     parts = [
         _PROFILE_HEAD,
@@ -115,19 +109,17 @@ def profile_page() -> str:
         "Parameters of `surfaces` and `drive`: `reference_speed` and `minimum_speed` (m/s, required), of each actuator "
         "`NAME_delay_s` and `NAME_lag_s` (0); of `drive` also `steering_cubic` (0).",
         f"\n## `isolation`\n\n`method`: {_one_of(METHODS)} `independent` has `smoothing_s` alone.\n",
-        "Method `single`:\n",
-        _rows(_listed(single), isolation),
-        "\nMethod `bank`:\n",
+        "Method `bank`:\n",
         _rows(
             [
-                *_listed(bank),
+                *_listed(shared),
                 (
                     "hypotheses",
                     "array of tables",
-                    f"{parameters_of(BankRule)['hypotheses'][1]} In each: the keys below.",
+                    f"{bank['hypotheses'][1]} In each: the keys below.",
                 ),
-                *((key, "number", parameters_of(BankRule)[key][1]) for key in ("jump_s", "usual_score", "level_s")),
-                ("washout_s", "table", f"{parameters_of(BankRule)['washouts'][1]} By fault."),
+                *((key, "number", bank[key][1]) for key in ("jump_s", "usual_score", "level_s")),
+                ("washout_s", "table", f"{bank['washouts'][1]} By fault."),
                 ("hypotheses.faults", "list", "The faults that may act; the gains are named after them."),
                 ("hypotheses.covariance", "matrix", "Healthy covariance of its smoothed residual (p, p)."),
                 (

@@ -55,9 +55,6 @@ cdef double WASHOUT_RETURNED = 0.5
 # Chosen: six deviations. Measured: a windy flight watched with the profile of a calm one has 11 on average and 36 over
 # ten seconds.
 cdef double LEVEL_CLIP = 36.0
-# Least weight of a channel beside the suspects, relative to its own: below it the channel is a combination of theirs
-# and the difference that remains is rounding (some 1e-16 times the condition of Sigma).
-cdef double SMALLEST_WEIGHT = 1e-9
 
 
 cdef class Choice:
@@ -587,11 +584,11 @@ cdef class IndependentIsolation:
     """
 
     cdef double keep
-    cdef double[::1] smoothed, evidence
+    cdef double[::1] smoothed
 
     def __init__(self, channels, keep):
         self.keep = keep
-        self.smoothed, self.evidence = np.zeros(channels), np.zeros(channels)
+        self.smoothed = np.zeros(channels)
 
     def run(self, const double[:, :] fault, const unsigned char[:] measured, const unsigned char[:] restart):
         """Return the evidence of each of n rows (n, a); one that is neither measured nor a restart changes nothing."""
@@ -606,129 +603,5 @@ cdef class IndependentIsolation:
             if measured[k] or restart[k]:
                 for i in range(a):
                     self.smoothed[i] = self.keep * self.smoothed[i] + (1.0 - self.keep) * fault[k, i]
-                self.isolate()
-            for i in range(a):
-                evidence[k, i] = self.evidence[i]
+            evidence[k, :] = self.smoothed
         return result
-
-    cdef void isolate(self) noexcept:
-        self.evidence[:] = self.smoothed
-
-
-cdef class SingleFaultIsolation(IndependentIsolation):
-    """Holds one channel responsible at a time: generalised least squares with the healthy covariance.
-
-    The joint estimate f^ of all fault channels carries disturbance along directions that healthy flight shows (a gust
-    looks like all motors at once). With Sigma its healthy covariance, the size of a fault of channel i alone is
-
-        theta_i = e_i' Sigma^-1 f^ / (e_i' Sigma^-1 e_i),        J_i = theta_i^2 e_i' Sigma^-1 e_i,
-
-    J_i being the drop of the misfit when channel i is held responsible. The channel with the largest J is the suspect;
-    gain_penalty is how much larger J must be to believe that a channel delivers more than commanded, rather than that
-    another one delivers less: motors fail towards less. Others are held responsible beside it one after the other, each
-    for the largest drop of what the suspects so far leave unexplained, and only while that drop is beyond healthy
-    flight (score_floor) and beyond what model error makes of the first suspect (tolerance, a share of its score
-    sqrt(J)); the sizes of all suspects are then fitted together.
-
-    Parameters
-    ----------
-    information : ndarray
-        Sigma^-1 of the smoothed estimate (a, a).
-    penalty : ndarray
-        How much larger J has to be to believe that a channel delivers more than commanded (a,).
-    keep, tolerance, floor : float
-        Share of the smoothed estimate that a row leaves; of the rule.
-    """
-
-    cdef double[:, ::1] information, L, Z
-    cdef double[::1] penalty, projected, z, drop
-    cdef Py_ssize_t[::1] suspects
-    cdef double tolerance, floor
-
-    def __init__(self, information, penalty, keep, tolerance, floor):
-        a = len(information)
-        super().__init__(a, keep)
-        self.information, self.penalty = np.ascontiguousarray(information), np.asarray(penalty, np.float64)
-        self.tolerance, self.floor = tolerance, floor
-        self.projected, self.z, self.drop = np.zeros((3, a))
-        self.L, self.Z = np.zeros((2, a, a))
-        self.suspects = np.zeros(a, np.intp)
-
-    cdef void isolate(self) noexcept:
-        cdef Py_ssize_t i, j, first = 0, following, count, a = self.smoothed.shape[0]
-        cdef double single, score, most = -INFINITY, largest = -INFINITY, limit, believed = 0.0
-        for i in range(a):
-            # Sigma^-1 f^, theta_i = e_i' Sigma^-1 f^ / weight_i and J_i = theta_i e_i' Sigma^-1 f^.
-            self.projected[i] = 0.0
-            for j in range(a):
-                self.projected[i] += self.information[i, j] * self.smoothed[j]
-            single = self.projected[i] / self.information[i, i]
-            score = single * self.projected[i]
-            if score - (self.penalty[i] if single > 0.0 else 0.0) > most:
-                most, first, believed = score - (self.penalty[i] if single > 0.0 else 0.0), i, score
-            largest = max(largest, score)
-            self.evidence[i] = 0.0
-        self.evidence[first] = self.projected[first] / self.information[first, first]
-        limit = max(self.floor, self.tolerance * sqrt(believed))
-        if not limit < sqrt(largest):
-            return
-        count = 0
-        following = first
-        while True:
-            self.suspect(following, count)
-            count += 1
-            if count > 1:
-                self.fit(count)
-            if count == a:
-                return
-            following = self.largest_drop(count)
-            if self.drop[following] <= limit * limit:
-                return
-
-    cdef void suspect(self, Py_ssize_t channel, Py_ssize_t count) noexcept:
-        """Append a channel to the suspects s: a row of L with L L' = Sigma^-1_ss, of Z = L^-1 Sigma^-1_s and of
-        z = L^-1 (Sigma^-1 f^)_s."""
-        cdef Py_ssize_t i, j, a = self.smoothed.shape[0]
-        cdef double diagonal = self.information[channel, channel]
-        for j in range(count):
-            self.L[count, j] = self.Z[j, channel]
-            diagonal -= self.L[count, j] * self.L[count, j]
-        diagonal = sqrt(diagonal)
-        self.L[count, count] = diagonal
-        self.suspects[count] = channel
-        self.z[count] = self.projected[channel]
-        for j in range(count):
-            self.z[count] -= self.L[count, j] * self.z[j]
-        self.z[count] /= diagonal
-        for i in range(a):
-            self.Z[count, i] = self.information[channel, i]
-            for j in range(count):
-                self.Z[count, i] -= self.L[count, j] * self.Z[j, i]
-            self.Z[count, i] /= diagonal
-
-    cdef Py_ssize_t largest_drop(self, Py_ssize_t count) noexcept:
-        """Return the channel with the largest drop of the misfit beside the suspects, which have none."""
-        cdef Py_ssize_t i, j, best = 0
-        cdef double unexplained, weight
-        for i in range(self.smoothed.shape[0]):
-            unexplained, weight = self.projected[i], self.information[i, i]
-            for j in range(count):
-                unexplained -= self.Z[j, i] * self.z[j]
-                weight -= self.Z[j, i] * self.Z[j, i]
-            self.drop[i] = unexplained * unexplained / max(weight, SMALLEST_WEIGHT * self.information[i, i])
-        for j in range(count):
-            self.drop[self.suspects[j]] = 0.0
-        for i in range(self.smoothed.shape[0]):
-            if self.drop[i] > self.drop[best]:
-                best = i
-        return best
-
-    cdef void fit(self, Py_ssize_t count) noexcept:
-        """Fit the sizes of all suspects together: L' theta = z."""
-        cdef Py_ssize_t i, j
-        cdef double size
-        for i in range(count - 1, -1, -1):
-            size = self.z[i]
-            for j in range(i + 1, count):
-                size -= self.L[j, i] * self.evidence[self.suspects[j]]
-            self.evidence[self.suspects[i]] = size / self.L[i, i]

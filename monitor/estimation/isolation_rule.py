@@ -20,28 +20,14 @@ def keep_share(smoothing_s: float, rate_hz: float) -> float:
 
 LEVEL_S = 3.0
 """As :data:`monitor.estimation.changes.LEVEL_S`: half as long again as the mean of the slow path at 100 Hz."""
-METHODS = ("single", "independent", "bank")
+METHODS = ("independent", "bank")
 
 
 @dataclass(frozen=True, slots=True)
 class IndependentRule:
-    """Every channel answers for its own estimate, smoothed with a time constant in seconds."""
-
-    smoothing_s: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SingleRule:
-    """One channel is held responsible at a time: see :class:`monitor.core.bank.SingleFaultIsolation`."""
+    """Every channel answers for its own estimate, for plants whose faults the observer tells apart well."""
 
     smoothing_s: float  # time constant of the smoothing, seconds
-    tolerance: float  # share of the first suspect's score sqrt(J) that model error may leave unexplained
-    # score that healthy flight does not reach: below it no channel is held responsible beside the first suspect
-    score_floor: float
-    # how much larger J must be to believe that a channel delivers more than commanded, rather than that another one
-    # delivers less: motors fail towards less
-    gain_penalty: float
-    covariance: NDArray[np.float64]  # healthy covariance of the smoothed joint estimate (a, a), effect units
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,11 +35,9 @@ class BankRule:
     """One observer for each hypothesis; the one that explains the data names the faults: see ``bank``."""
 
     smoothing_s: float  # time constant of the smoothing of estimates and residuals, seconds
-    # share of the worst hypothesis' score that model error may leave on the right one, score sqrt(J) that healthy
-    # flight does not reach, and how much larger J may be before an actuator is believed to deliver more than commanded:
-    # see :mod:`monitor.estimation.bank`
-    tolerance: float
-    score_floor: float
+    tolerance: float  # share of the worst hypothesis' score that model error may leave on the right one
+    score_floor: float  # score sqrt(r' S^-1 r) that healthy flight does not reach
+    # how much more evidence an actuator needs that would deliver more than commanded: motors fail towards less
     gain_penalty: float
     hypotheses: tuple[tuple[str, ...], ...]  # the faults of each hypothesis
     # healthy covariance of the smoothed residual of each hypothesis (p, p)
@@ -70,7 +54,7 @@ class BankRule:
     level_s: float = LEVEL_S
 
 
-IsolationRule = IndependentRule | SingleRule | BankRule
+IsolationRule = IndependentRule | BankRule
 
 
 def edge_faults(rule: IsolationRule) -> frozenset[str]:
@@ -87,6 +71,9 @@ def read_hypotheses(table: Table) -> tuple[tuple[str, ...], ...] | None:
 
     Mistakes are recorded in the table's file: an unknown method, or a bank that has no hypotheses or one twice.
     """
+    if table.raw("method") == "single":
+        table.mistake("method", "is \"single\", which banks have replaced; make the profile again with 'fauio fit'")
+        return None
     if table.choice("method", METHODS) != "bank":
         return None
     hypotheses = tuple(entry.texts("faults") for entry in table.tables("hypotheses"))
@@ -97,28 +84,23 @@ def read_hypotheses(table: Table) -> tuple[tuple[str, ...], ...] | None:
     return hypotheses
 
 
-def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
-    """Return the rule of an isolation table, for a number of fault channels and of outputs.
+def read_isolation(table: Table, outputs: int) -> IsolationRule:
+    """Return the rule of an isolation table, for a number of outputs.
 
     Mistakes are recorded in the table's file; those that :func:`read_hypotheses` records have to be raised before.
     """
     hypotheses = read_hypotheses(table)
-    method = table.choice("method", METHODS)
     smoothing_s = table.number("smoothing_s", 0.05, at_least=0.0)
     rule: IsolationRule = IndependentRule(smoothing_s)
-    if method != "independent":
-        shared = {
-            "smoothing_s": smoothing_s,
-            "tolerance": table.number("tolerance", 0.2, at_least=0.0),
-            "score_floor": table.number("score_floor", at_least=0.0),
-            "gain_penalty": table.number("gain_penalty", 25.0, at_least=0.0),
-        }
     if hypotheses is not None:
         entries = table.tables("hypotheses")
         rule = BankRule(
-            **shared,
+            smoothing_s=smoothing_s,
+            tolerance=table.number("tolerance", 0.2, at_least=0.0),
+            score_floor=table.number("score_floor", at_least=0.0),
+            gain_penalty=table.number("gain_penalty", 25.0, at_least=0.0),
             hypotheses=hypotheses,
-            covariances=tuple(_covariance(entry, outputs, definite=False) for entry in entries),
+            covariances=tuple(_covariance(entry, outputs) for entry in entries),
             edges=tuple(entry.boolean("edge", False) for entry in entries),
             jump_s=table.number("jump_s", 0.03, above=0.0),
             washouts=_washouts(table.table("washout_s"), {name for faults in hypotheses for name in faults}),
@@ -134,8 +116,6 @@ def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
         for entry in entries:
             entry.texts("faults")
             entry.done()
-    elif method == "single":
-        rule = SingleRule(**shared, covariance=_covariance(table, faults))
     table.done()
     return rule
 
@@ -144,22 +124,21 @@ def isolation_table(rule: IsolationRule) -> dict[str, Any]:
     """Return the table that :func:`read_isolation` reads back as the same rule."""
     if isinstance(rule, IndependentRule):
         return {"method": "independent", "smoothing_s": rule.smoothing_s}
-    shared = {
-        "smoothing_s": rule.smoothing_s,
-        "tolerance": rule.tolerance,
-        "score_floor": rule.score_floor,
-        "gain_penalty": rule.gain_penalty,
-    }
-    if isinstance(rule, SingleRule):
-        return {"method": "single", **shared, "covariance": rule.covariance.tolist()}
     hypotheses = [
         {"faults": list(faults), **({"edge": True} if edge else {}), "covariance": covariance.tolist()}
         for faults, covariance, edge in zip(rule.hypotheses, rule.covariances, rule.edges, strict=True)
     ]
-    jump = {"jump_s": rule.jump_s} if any(rule.edges) else {}
-    washouts = {"washout_s": dict(rule.washouts)} if rule.washouts else {}
-    level = {"usual_score": rule.usual_score, "level_s": rule.level_s} if rule.usual_score else {}
-    return {"method": "bank", **shared, **jump, **washouts, **level, "hypotheses": hypotheses}
+    return {
+        "method": "bank",
+        "smoothing_s": rule.smoothing_s,
+        "tolerance": rule.tolerance,
+        "score_floor": rule.score_floor,
+        "gain_penalty": rule.gain_penalty,
+        **({"jump_s": rule.jump_s} if any(rule.edges) else {}),
+        **({"washout_s": dict(rule.washouts)} if rule.washouts else {}),
+        **({"usual_score": rule.usual_score, "level_s": rule.level_s} if rule.usual_score else {}),
+        "hypotheses": hypotheses,
+    }
 
 
 def gains_file_names(observer: str, hypotheses: Sequence[Sequence[str]] = ()) -> tuple[str, ...]:
@@ -181,7 +160,7 @@ def _washouts(table: Table, faults: Collection[str]) -> dict[str, float]:
     return {name: table.number(name, at_least=0.1) for name in table}
 
 
-def _covariance(table: Table, size: int, definite: bool = True) -> NDArray[np.float64]:
+def _covariance(table: Table, size: int) -> NDArray[np.float64]:
     covariance = table.matrix("covariance", size, size)
     if not table.good("covariance"):
         return covariance
@@ -189,6 +168,6 @@ def _covariance(table: Table, size: int, definite: bool = True) -> NDArray[np.fl
     correlation = covariance / np.outer(scale, scale).clip(1e-300)
     if not np.allclose(correlation, correlation.T) or not covariance.any():
         table.mistake("covariance", "is not symmetric, or zero")
-    elif np.linalg.eigvalsh(correlation).min() < (1e-12 if definite else -1e-9):
-        table.mistake("covariance", f"is not positive {'definite' if definite else 'semidefinite'}")
+    elif np.linalg.eigvalsh(correlation).min() < -1e-9:
+        table.mistake("covariance", "is not positive semidefinite")
     return covariance

@@ -7,7 +7,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 from adapters.logs.damage import Damage
-from monitor.estimation.isolation_rule import BankRule, SingleRule
+from monitor.estimation.isolation_rule import BankRule
 from monitor.profile import ObserverProfile, Profile
 from monitor.sampling.slow_telemetry import spanned
 from replay.player import Replay, Watch
@@ -139,13 +139,7 @@ def _together(observer: ObserverProfile) -> Iterator[Unchecked]:
     """Say which faults are told apart only one at a time."""
     names = [fault.name for fault in observer.faults]
     rule = observer.isolation
-    if isinstance(rule, SingleRule) and len(names) > 1:
-        groups = [names]
-    elif isinstance(rule, BankRule):
-        groups = _exclusive(names, [set(faults) for faults in rule.hypotheses])
-    else:
-        groups = []
-    for group in groups:
+    for group in _exclusive(names, rule.hypotheses) if isinstance(rule, BankRule) else ():
         yield Unchecked(
             f"{observer.name}: several at once of {_and(group)}",
             "these measurements tell them apart only one at a time; several at once are put down to the one that "
@@ -153,11 +147,11 @@ def _together(observer: ObserverProfile) -> Iterator[Unchecked]:
         )
 
 
-def _exclusive(names: Sequence[str], hypotheses: Sequence[set[str]]) -> list[list[str]]:
+def _exclusive(names: Sequence[str], hypotheses: Sequence[Sequence[str]]) -> list[list[str]]:
     """Return groups of faults of which no two, or not all, stand in one hypothesis together."""
     groups: list[set[str]] = []
     for pair in combinations(names, 2):
-        if any(set(pair) <= hypothesis for hypothesis in hypotheses):
+        if any(set(pair).issubset(hypothesis) for hypothesis in hypotheses):
             continue
         touched = [group for group in groups if group & set(pair)]
         groups = [group for group in groups if group not in touched] + [set(pair).union(*touched)]
