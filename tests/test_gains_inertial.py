@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from monitor.vehicles.inertial.sensor_fit import (
     delay_costs,
     identify_inertial,
 )
-from monitor.vehicles.inertial.strapdown import Strapdown
+from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, Strapdown
 
 ONSET = 500
 WASHOUTS = Washouts(30.0, 10.0, 3.0)
@@ -193,9 +194,11 @@ def test_too_little_recording_is_said_so() -> None:
         identify_inertial(InertialData(data, transform.inputs, transform.outputs, 25.0, WASHOUTS))
 
 
-def test_sensors_that_come_once_a_second_are_fitted() -> None:
+@pytest.mark.parametrize("judged", [*permutations(ACCELEROMETERS)])
+def test_sensors_that_come_once_a_second_are_fitted_in_their_order(judged: tuple[str, ...]) -> None:
     transform, _ = truth.transformed(truth.signals(0.1))
-    rng = np.random.default_rng(4)
-    flight = Segment(rng.normal(size=(150, len(transform.inputs))), rng.normal(size=(150, len(transform.outputs))))
-    fit = identify_inertial(InertialData([flight], transform.inputs, transform.outputs, 1.0, WASHOUTS))
+    rng, outputs = np.random.default_rng(4), (*transform.outputs, *judged)
+    flight = Segment(rng.normal(size=(150, len(transform.inputs))), rng.normal(size=(150, len(outputs))))
+    fit = identify_inertial(InertialData([flight], transform.inputs, outputs, 1.0, WASHOUTS))
     assert all(0.0 < size < 100.0 for size in fit.noise.values())
+    assert tuple(name for name in fit.noise if name in judged) == judged

@@ -147,7 +147,7 @@ def _with_chains(fit: InertialFit, data: InertialData) -> InertialFit:
         noise[chain.output] = max(fast / np.sqrt(2.0), _SMALLEST)
         growth = np.sqrt(max(slow * slow - fast * fast, 0.0) / (_SLOW_S * fit.rate_hz))
         disturbance[chain.state] = max(float(growth), _SMALLEST)
-    for name in set(ACCELEROMETERS) & set(data.outputs):
+    for name in (output for output in data.outputs if output in ACCELEROMETERS):
         noise[name] = disturbance[f"judged_{name}"] = _SMALLEST
     return replace(fit, speed_scale=scale, noise=noise, disturbance=disturbance)
 
