@@ -105,9 +105,14 @@ class Archive:
         if self._recorder is not None:
             self._recorder.flush()
 
+    @property
+    def has_clips(self) -> bool:
+        """Whether clips are being made."""
+        return self._black_box is not None and self._black_box.has_clips
+
     def work(self, max_records: int, now_ns: int) -> int:
         """Write up to so many records of open clips; return how many were written."""
-        if self._black_box is None or not self._black_box.has_clips:
+        if self._black_box is None:
             return 0
         self.encode()
         return self._black_box.work(max_records, now_ns)

@@ -35,7 +35,8 @@ FINISH_S = 8.0
 class DiskThread:
     """Does jobs one after the other in a thread; those that find too much waiting are refused.
 
-    ``stalled_s`` says for how long the job in hand has been waiting for the disk, 0 where it has not for long.
+    Jobs with a size do not wake the thread, which takes as long as some of them: they wait for the next one without,
+    or until half of the room is taken. ``stalled_s`` says for how long the job in hand has been waiting for the disk, 0 where it has not for long.
     """
 
     def __init__(self, name: str, limit: int) -> None:
@@ -58,7 +59,8 @@ class DiskThread:
             self._jobs.append((job, size))
             self._waiting += size
             self._given += 1
-            self._changed.notify_all()
+            if not size or 2 * self._waiting > self._limit:
+                self._changed.notify_all()
             return True
 
     def wait(self, timeout_s: float) -> bool:
@@ -68,6 +70,7 @@ class DiskThread:
         """
         with self._changed:
             given = self._given
+            self._changed.notify_all()
             if self._in_vain:
                 return self._done >= given
             done = self._changed.wait_for(lambda: self._done >= given, max(timeout_s, 0.0))
@@ -138,7 +141,8 @@ class BackgroundArchive:
 
     def work(self, now_ns: int) -> None:
         """Write some of the open clips; call it on a timer."""
-        self._thread.put(functools.partial(self._archive.work, _CLIP_RECORDS, now_ns))
+        if self._archive.has_clips:
+            self._thread.put(functools.partial(self._archive.work, _CLIP_RECORDS, now_ns))
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until all is written; return whether it is."""
