@@ -97,6 +97,17 @@ def test_jobs_are_done_in_order_and_what_finds_no_room_is_refused(disk: Disk) ->
     assert not thread.put(disk.answer)
 
 
+def test_jobs_with_a_size_are_done_when_they_are_waited_for_or_take_half_of_the_room() -> None:
+    done: list[int] = []
+    thread = DiskThread("test", 10)
+    assert thread.put(lambda: done.append(0), 2)
+    assert thread.wait(5.0)
+    assert thread.put(lambda: done.append(1), 5)
+    assert thread.put(lambda: done.append(2), 1)
+    until(lambda: len(done) == 3)
+    assert thread.close(5.0)
+
+
 def test_a_job_that_fails_is_logged_and_the_next_is_done(caplog: pytest.LogCaptureFixture) -> None:
     thread = DiskThread("test", 10)
     thread.put(lambda: 1 / 0)

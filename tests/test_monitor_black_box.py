@@ -355,7 +355,7 @@ def test_a_disk_that_fills_within_a_clip_costs_none_of_it(tmp_path: Path, monkey
         def refuse(*_: Any) -> None:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-        full.setattr(MessageLogWriter, "add", refuse)
+        full.setattr(MessageLogWriter, "add_all", refuse)
         finish(box)
         assert clips(tmp_path) == []
     feed(box, 10, 20)

@@ -36,7 +36,8 @@ class DiskThread:
     """Does jobs one after the other in a thread; those that find too much waiting are refused.
 
     Jobs with a size do not wake the thread, which takes as long as some of them: they wait for the next one without,
-    or until half of the room is taken. ``stalled_s`` says for how long the job in hand has been waiting for the disk, 0 where it has not for long.
+    or until half of the room is taken. ``stalled_s`` says for how long the job in hand has been waiting for the disk, 0
+    where it has not for long.
     """
 
     def __init__(self, name: str, limit: int) -> None:

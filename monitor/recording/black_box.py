@@ -8,6 +8,7 @@ import re
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +16,7 @@ from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from monitor.event import AlarmEvent
 from monitor.recording.record_encoder import EncodedRecord, Topic
-from monitor.recording.recorder import RETRY_S, start_log
+from monitor.recording.recorder import RETRY_S, Channels, add_records, most_bytes, recordable, start_log
 from monitor.recording.retention import Retention, file_stem, writable_folder
 from monitor.sampling.phase import FlightPhase
 
@@ -61,6 +62,7 @@ class _Clip:
     waiting: deque[EncodedRecord]
     alarms: list[str]
     log: MessageLogWriter | None = None
+    channels: Channels = field(default_factory=dict)
     ended: bool = False
     done: list[EncodedRecord] | None = field(default_factory=list)
     """Records to write again if the file has to be begun again; None where they are too many to be kept."""
@@ -252,20 +254,21 @@ class BlackBox:
     def _write(self, clip: _Clip, max_records: int) -> int:
         count = 0
         while clip.waiting and count < max_records:
-            clip.log = clip.log or self._start(clip)
-            record = clip.waiting.popleft()
-            number, data, time_ns = record
+            log = clip.log = clip.log or self._start(clip)
+            records = [*islice(clip.waiting, max_records - count)]
+            # near the end of a clip that is full ever fewer
+            while len(records) > 1 and log.size + most_bytes(records, self._topics, clip.channels) > self._clip_bytes:
+                del records[len(records) // 2 :]
+            for _ in records:
+                clip.waiting.popleft()
             if clip.done is not None:
-                clip.done.append(record)
-                clip.done_bytes += len(data)
+                clip.done += records
+                clip.done_bytes += sum(len(data) for _, data, _ in records)
                 if clip.done_bytes > self._held_bytes:
                     clip.done = None
-            topic = self._topics[number]
-            channel = clip.log.channel(topic.name, topic.encoding, topic.schema)
-            if channel is not None:
-                clip.log.add(channel, data, time_ns)
-            count += 1
-            if clip.log.size > self._clip_bytes:
+            add_records(log, recordable(log, records, self._topics, clip.channels), clip.channels)
+            count += len(records)
+            if log.size > self._clip_bytes:
                 self._counts.dropped += len(clip.waiting)
                 clip.waiting.clear()
                 clip.ended = True
@@ -300,7 +303,7 @@ class BlackBox:
             with contextlib.suppress(OSError):
                 clip.path.unlink()
         clip.waiting.extendleft(reversed(clip.done))
-        clip.log, clip.done, clip.done_bytes = None, [], 0
+        clip.log, clip.channels, clip.done, clip.done_bytes = None, {}, [], 0
         clip.retry_ns = (self._now_ns or 0) + round(RETRY_S * 1e9)
 
     def _give_up(self, clip: _Clip) -> None:

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
-from typing import Final, Self
+from typing import Final, Self, TypeAlias
 
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
@@ -55,6 +55,36 @@ def start_log(
                 Path(path).unlink()
         raise
     return log
+
+
+Channels: TypeAlias = dict[int, int | None]
+"""The channels of a file by the numbers of topics; None: it has no room for more topics."""
+
+
+def most_bytes(records: Sequence[EncodedRecord], topics: Sequence[Topic], channels: Channels) -> int:
+    """Return how many bytes records add at most to the file that has these channels."""
+    new = {number for number, _, _ in records} - channels.keys()
+    schemas = [schema for number in new if (schema := topics[number].schema) is not None]
+    return sum(len(data) + _RECORD_MARGIN for _, data, _ in records) + sum(2 * len(schema.data) for schema in schemas)
+
+
+def recordable(
+    log: MessageLogWriter, records: Sequence[EncodedRecord], topics: Sequence[Topic], channels: Channels
+) -> Sequence[EncodedRecord]:
+    """Add the channels that records need to a file; return the records that it has room for."""
+    for number in {number for number, _, _ in records} - channels.keys():
+        topic = topics[number]
+        channels[number] = log.channel(topic.name, topic.encoding, topic.schema)
+    return [record for record in records if channels[record[0]] is not None] if None in channels.values() else records
+
+
+def add_records(log: MessageLogWriter, records: Sequence[EncodedRecord], channels: Channels) -> None:
+    """Give records that are :func:`recordable` to a file, all at once."""
+    log.add_all(
+        [channels[number] or 0 for number, _, _ in records],
+        [data for _, data, _ in records],
+        [time_ns for _, _, time_ns in records],
+    )
 
 
 @dataclass(slots=True)
@@ -109,7 +139,7 @@ class Recorder:
         self._strict = strict
         self._monotonic = monotonic
         self._log: MessageLogWriter | None = None
-        self._channels: dict[int, int | None] = {}
+        self._channels: Channels = {}
         self._first_ns = self._given = 0
         self._arrived_ns: int | None = None
         # alarm records given to the file in hand, with their numbers in it, until it was flushed; those without a file
@@ -194,18 +224,12 @@ class Recorder:
 
     def _write(self, log: MessageLogWriter, records: Sequence[EncodedRecord], keep: bool) -> None:
         """Give records to a file."""
-        for number in {number for number, _, _ in records} - self._channels.keys():
-            topic = self._topics[number]
-            self._channels[number] = log.channel(topic.name, topic.encoding, topic.schema)
-        channels = [self._channels[number] for number, _, _ in records]
-        if None in channels:
-            records = [record for record, channel in zip(records, channels, strict=True) if channel is not None]
-            self._counts.unrecordable += len(channels) - len(records)
+        kept = recordable(log, records, self._topics, self._channels)
+        self._counts.unrecordable += len(records) - len(kept)
         if keep:
-            self._unflushed.extend(enumerate(records, self._given + 1))
-        self._given += len(records)
-        data, times_ns = [data for _, data, _ in records], [time_ns for _, _, time_ns in records]
-        log.add_all([channel for channel in channels if channel is not None], data, times_ns)
+            self._unflushed.extend(enumerate(kept, self._given + 1))
+        self._given += len(kept)
+        add_records(log, kept, self._channels)
 
     def _log_for(self, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> MessageLogWriter | None:
         """Return the file that the first of some records belongs into, None while there is none."""
@@ -229,12 +253,7 @@ class Recorder:
             return True
         if any(abs(time_ns - self._first_ns) >= series.file_ns for time_ns in times_ns):
             return False
-        new = {number for number, _, _ in records} - self._channels.keys()
-        schemas = [schema for number in new if (schema := self._topics[number].schema) is not None]
-        added = sum(len(data) + _RECORD_MARGIN for _, data, _ in records) + sum(
-            2 * len(schema.data) for schema in schemas
-        )
-        return log.size + added <= series.file_bytes
+        return log.size + most_bytes(records, self._topics, self._channels) <= series.file_bytes
 
     def _continue(self, first_ns: int) -> MessageLogWriter:
         """Resume the file in hand, or begin the next, named by its first telemetry's time; write the pending events."""
