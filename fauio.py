@@ -26,7 +26,6 @@ from __future__ import annotations
 import argparse
 import errno
 import importlib
-import math
 import os
 import sys
 import textwrap
@@ -34,6 +33,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from adapters import commands as adapters_commands
+from adapters.command_line import finite, whole
 from adapters.errors import (
     ConfigError,
     FauioError,
@@ -295,8 +295,8 @@ class _Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**({"formatter_class": _Format} | options))
-        self.register("type", float, _number)
-        self.register("type", int, _whole_number)
+        self.register("type", float, finite)
+        self.register("type", int, whole)
 
     def error(self, message: str) -> NoReturn:
         self.exit(USAGE, f"{self.prog}: {message}; see '{self.prog} --help'\n")
@@ -327,23 +327,6 @@ def _meant(given: str, known: Iterable[str]) -> str:
     plain = {option.lstrip("-"): option for option in known}
     near = get_close_matches(given.lstrip("-"), list(plain), n=1)
     return f"; did you mean {plain[near[0]]}?" if near else ""
-
-
-def _number(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"'{text}' is no finite number; write it without a unit, like 12.5")
-    return number
-
-
-def _whole_number(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is no whole number") from None
 
 
 def _overview(commands: Iterable[tuple[str, str]]) -> str:

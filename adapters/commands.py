@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from adapters.command_line import remark, say_json
 from adapters.errors import UsageError
 from adapters.output_file import check_suffix
 
@@ -63,8 +64,6 @@ def add_parsers(subparsers: Any) -> None:
 
 
 def _simulate_arm(args: argparse.Namespace) -> int:
-    import json
-    import sys
     import time
 
     from adapters.simulation.arm import SCENARIOS as KNOWN
@@ -107,9 +106,7 @@ def _simulate_arm(args: argparse.Namespace) -> int:
         "to": target,
     }
     if args.json:
-        print(json.dumps(summary))  # noqa: T201 - the command line speaks here
+        say_json(summary)
     else:
-        print(  # noqa: T201 - the command line speaks here
-            f"{len(run.t)} samples of the arm, scenario {name}: {sent} messages to {target}", file=sys.stderr
-        )
+        remark(f"{len(run.t)} samples of the arm, scenario {name}: {sent} messages to {target}")
     return 0

@@ -33,7 +33,7 @@ from adapters.logs.ulog import UlogReader
 from adapters.message import Message
 from adapters.source import CLOCK, MAVLINK, ULOG, ZENOH
 from adapters.toml_tables import TomlFile
-from replay.inspection.info_text import info_text
+from replay.inspection.info_text import info_lines
 from replay.inspection.log_info import log_info
 
 # How protobuf's own classes name what every message has: a field may bear any of these names too.
@@ -247,7 +247,7 @@ def _info(folder: Path) -> Run:
         with only(TelemetryError):
             found = log_info(path)
             json.loads(json.dumps(found))
-            info_text(found).encode()
+            "".join(info_lines(found)).encode()
 
     return run
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adapters.command_line import remark, say, say_json
 from adapters.errors import InaccurateError, InfeasibleError, ModelError, UsageError
 
 if TYPE_CHECKING:
@@ -207,15 +207,15 @@ def run_design(args: argparse.Namespace) -> int:
         return _compare(plant, args)
     if args.rate is None and plant.rate_hz is None and not _continuous(args):
         args.rate = _RATE_HZ
-        sys.stderr.write(
-            f"fauio: {plant.name}: designed for {_RATE_HZ:g} samples per second; --rate HZ sets another rate, "
-            "--continuous needs none\n"
+        remark(
+            f"{plant.name}: designed for {_RATE_HZ:g} samples per second; --rate HZ sets another rate, "
+            "--continuous needs none"
         )
     try:
         report, gains = _design(plant, args)
     except InfeasibleError as error:
         if args.json:
-            _print_json(_failure(plant, args, error))
+            say_json(_failure(plant, args, error))
         raise
     if args.out is not None and gains is not None:
         from gains.synthesis.gains_file import write_gains
@@ -223,7 +223,7 @@ def run_design(args: argparse.Namespace) -> int:
         # The monitor compares the hash with that of the model file, which --fault-rate does not change.
         write_gains(replace(gains, model_hash=model_hash(model)), args.out)
     if args.json:
-        _print_json(report)
+        say_json(report)
     else:
         sys.stdout.write(design_text(report, args.out))
     return 0
@@ -245,7 +245,7 @@ def _compare(plant: Plant, args: argparse.Namespace) -> int:
     if args.out is not None:
         raise UsageError(f"{plant.name}: -o takes the gains of one method; leave out --method all")
     if not args.json:
-        sys.stdout.write(f"{'method':<22}{'sqrt(mu)':>12}{'norm':>12}{'floor':>12}  status\n")
+        say(f"{'method':<22}{'sqrt(mu)':>12}{'norm':>12}{'floor':>12}  status")
     runs = [("convex", False), ("convex", True), *((method, True) for method in (*_THEOREMS, *_BASELINES))]
     for method, continuous in runs:
         if method == "convex" and not continuous and args.rate is None and plant.rate_hz is None:
@@ -256,13 +256,13 @@ def _compare(plant: Plant, args: argparse.Namespace) -> int:
         except (InfeasibleError, ModelError) as error:
             report = _failure(plant, case, error)
         if args.json:
-            _print_json(report)
+            say_json(report)
             continue
         name = f"{method}, {report['domain']}" if method == "convex" else method
         figures = "".join(
             f"{'-' if report[key] is None else format(report[key], '.5g'):>12}" for key in ("sqrt_mu", "norm", "floor")
         )
-        sys.stdout.write(f"{name:<22}{figures}  {report.get('reason') or report['status']}\n")
+        say(f"{name:<22}{figures}  {report.get('reason') or report['status']}")
     return 0
 
 
@@ -301,13 +301,13 @@ def run_check(args: argparse.Namespace) -> int:
             raise UsageError(f"{args.model}: gains have their own rate; leave out --rate")
         verified = verify_gains(args.model)
         if args.json:
-            _print_json({"status": "verified", **asdict(verified)})
+            say_json({"status": "verified", **asdict(verified)})
         else:
             sys.stdout.write(verified.text())
         return 0
     check = check_plant(load_model(args.model), args.rate)
     if args.json:
-        _print_json(check_report(check))
+        say_json(check_report(check))
     else:
         sys.stdout.write(check_text(check))
     return 0 if check.estimable else InfeasibleError.exit_status
@@ -423,7 +423,3 @@ def _floor(plant: Plant, report: dict[str, Any]) -> float | None:
     order, once = report.get("integrator_order", 1), report.get("noise_once", False)
     floor = floor_sqrt_mu(plant, rate_hz, order, noise_once=once)
     return floor.value if math.isfinite(floor.value) else None
-
-
-def _print_json(report: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(report) + "\n")

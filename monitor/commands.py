@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import functools
-import json
 import math
-import sys
+import time
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from adapters.command_line import say, say_json
 from monitor.console.alarm_commands import add_alarms, add_schema
-from monitor.console.notify_command import add_notify
 from monitor.console.web_commands import add_console
 from monitor.diagnosis.doctor import add_doctor
 from monitor.recording.recover import add_recover
@@ -27,7 +26,7 @@ def add_parsers(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
     add_alarms(subparsers)
     add_console(subparsers)
     add_schema(subparsers)
-    add_notify(subparsers)
+    _add_notify(subparsers)
     add_doctor(subparsers)
 
 
@@ -89,6 +88,19 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     run.set_defaults(handler=run_run)
 
 
+def _add_notify(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "notify",
+        help="try the notifications of a configuration",
+        description="Send a test message to everything that [notify] of a configuration names, and say what became of "
+        "it. Exit status 2 where one was not delivered.",
+        epilog="example: fauio notify --config run.toml --test",
+    )
+    parser.add_argument("--config", type=Path, required=True, metavar="FILE.toml", help="configuration of the daemon")
+    parser.add_argument("--test", action="store_true", required=True, help="send it")
+    parser.set_defaults(handler=run_notify)
+
+
 def _add_source(command: argparse.ArgumentParser) -> None:
     source = command.add_mutually_exclusive_group()
     source.add_argument(
@@ -136,15 +148,12 @@ def run_record(args: argparse.Namespace) -> int:
     config = read_config(args.config, _given(args, ("listen", "connect")), links_only=True)
     recording = record_live(config, args.out, args.seconds, as_json=args.json)
     if args.json:
-        sys.stdout.write(json.dumps({"file": str(args.out)} | asdict(recording)) + "\n")
+        say_json({"file": str(args.out)} | asdict(recording))
     else:
         senders = f", from system {', '.join(map(str, recording.systems))}" if recording.systems else ""
         lost = f"; {recording.dropped} more came too fast" if recording.dropped else ""
-        sys.stdout.write(
-            f"{args.out}: {recording.messages} messages of {recording.names} kinds in "
-            f"{recording.seconds:.1f} s{senders}{lost}\n"
-            f"See what can be fitted to it: fauio info {args.out}\n"
-        )
+        counts = f"{recording.messages} messages of {recording.names} kinds in {recording.seconds:.1f} s"
+        say(f"{args.out}: {counts}{senders}{lost}", f"See what can be fitted to it: fauio info {args.out}")
     return 130 if recording.interrupted else 0
 
 
@@ -162,3 +171,30 @@ def run_run(args: argparse.Namespace) -> int:
         given["force"] = True
     read = functools.partial(read_config, args.config, given)
     return run_live(read(), read, as_json=args.json, refuse=args.config is None)
+
+
+def run_notify(args: argparse.Namespace) -> int:
+    """Send a test message to each outlet, so that nobody finds out at the first alarm that none comes."""
+    from adapters.errors import UsageError
+    from monitor.configuration.config import read_config
+    from monitor.event import fixed_rule_event
+    from monitor.notify.notices import Notice
+    from monitor.notify.outlets import DeliveryError, make_outlets
+
+    notify = read_config(args.config, links_only=True).notify
+    outlets = make_outlets(notify.urls_file, notify.exec, notify.exec_timeout_s)
+    if not outlets:
+        raise UsageError(f"{args.config}: [notify] names neither urls_file nor exec; nobody would be told")
+    details: dict[str, Any] = {"kind": "system", "state": "raised", "unit": "", "threshold": 0.0, "vehicle_time_ms": 0}
+    message = "a test of fauio's notifications: no alarm"
+    event = fixed_rule_event("test", "monitor", "test", time_ns=time.time_ns(), message=message, **details)
+    failed = False
+    for outlet in outlets:
+        try:
+            outlet.send([Notice("raised", event)])
+        except DeliveryError as error:
+            failed = True
+            say(f"{outlet.name}: FAILED: {error}")
+        else:
+            say(f"{outlet.name}: delivered")
+    return 2 if failed else 0

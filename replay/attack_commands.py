@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
-from collections.abc import Sequence
-from math import isfinite, nan
 from pathlib import Path
 from typing import Any
+
+from adapters.command_line import finite, natural, positive, say, say_json, several
 
 _KINDS = ("bias", "ramp", "scale", "freeze", "replay", "noise", "delay", "drop", "spoof", "loss")
 _LOG_HELP = "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind"
@@ -78,8 +76,8 @@ def _add_inject(subparsers: Any) -> None:
     parser.add_argument(
         "--from", type=float, metavar="S", dest="source", help="begin of the segment replayed, seconds as --start"
     )
-    parser.add_argument("--seed", type=_whole, default=0, metavar="N", help="of noise and lost messages (0)")
-    parser.add_argument("--system", type=_whole, default=0, metavar="N", help="MAVLink system (default: first sender)")
+    parser.add_argument("--seed", type=natural, default=0, metavar="N", help="of noise and lost messages (0)")
+    parser.add_argument("--system", type=natural, default=0, metavar="N", help="MAVLink system (default: first sender)")
     parser.add_argument("--profile", type=Path, metavar="PROFILE", help="profile folder with the vehicle's model")
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="OUT.mcap", help="file to write")
     parser.add_argument("--json", action="store_true", help="print the truth as one JSON object")
@@ -105,24 +103,24 @@ def _add_detectability(subparsers: Any) -> None:
     )
     parser.add_argument(
         "--kinds",
-        type=_texts,
+        type=several,
         metavar="K,K",
         help="kinds of fault (default: loss of actuators, bias and ramp of sensors)",
     )
     parser.add_argument(
         "--sizes",
-        type=lambda text: tuple(map(_finite, _texts(text))),
+        type=lambda text: tuple(map(finite, several(text))),
         metavar="X,X",
         help="sizes in the channel's unit; of ramp and spoof: rates, per second (default: around the threshold)",
     )
-    parser.add_argument("--onsets", type=_positive, default=5, metavar="N", help="times of onset for each (5)")
+    parser.add_argument("--onsets", type=positive, default=5, metavar="N", help="times of onset for each (5)")
     parser.add_argument(
         "--before", type=float, default=10.0, metavar="S", help="healthy flight before each onset, seconds (10)"
     )
     parser.add_argument(
         "--after", type=float, default=10.0, metavar="S", help="what is not seen within these seconds is missed (10)"
     )
-    parser.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes (1)")
+    parser.add_argument("--jobs", type=positive, default=1, metavar="N", help="processes (1)")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot delay and miss rate against size")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(handler=run_detectability)
@@ -138,12 +136,12 @@ def run_inject(args: argparse.Namespace) -> int:
     order = Order(attack, args.start, args.at_ms, args.end, args.duration, args.source, args.system)
     truth = inject_recording(args.log, args.out, order, args.profile, track)
     if args.json:
-        _say(json.dumps(truth))
+        say_json(truth)
         return 0
     fault = truth["faults"][-1]
     span = f"{fault['on']['time_boot_ms']} to {fault['off']['time_boot_ms']} ms of the vehicle's clock"
-    _say(f"{args.out}: {fault['target']} {fault['kind']}, {fault['meaning']}, {span}, {fault['messages']} messages")
-    _say(f"{truth_path(args.out)}: the truth")
+    say(f"{args.out}: {fault['target']} {fault['kind']}, {fault['meaning']}, {span}, {fault['messages']} messages")
+    say(f"{truth_path(args.out)}: the truth")
     return 0
 
 
@@ -168,41 +166,11 @@ def run_detectability(args: argparse.Namespace) -> int:
     )
     result = detectability(args.profile, args.log, sweep, track)
     if args.json:
-        _say(json.dumps(result_json(result)))
+        say_json(result_json(result))
     else:
-        _say("\n".join(result_lines(result)))
+        say(*result_lines(result))
     if args.plot:
         from replay.sensitivity.detectability_plot import plot_detectability
 
         plot_detectability(args.plot, result)
     return 0
-
-
-def _finite(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = nan
-    if not isfinite(number):
-        raise argparse.ArgumentTypeError(f"'{text}' is no finite number; write it without a unit, like 12.5")
-    return number
-
-
-def _whole(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 0 on")
-    return int(text)
-
-
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 1 on")
-    return int(text)
-
-
-def _texts(text: str) -> Sequence[str]:
-    return tuple(part.strip() for part in text.split(",") if part.strip())
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adapters.command_line import remark, say, say_json
 from adapters.errors import StorageError, UsageError
 from adapters.output_file import check_suffix
 from monitor.vehicles.kinds import KINDS
@@ -189,22 +188,20 @@ def run_fit(args: argparse.Namespace) -> int:
         raise type(error)(_about_logs(str(error), args.logs, args.model)) from error
     stages.flush()
     damaged = _warn(part for path in args.logs for part in damage.get(path, ()))
-    for warning in report.warnings:
-        sys.stderr.write(f"fauio: {warning}\n")
+    remark(*report.warnings)
     if report.set_aside is not None:
         was, kept = out / PROFILE_FILE, f" but for {', '.join(report.edits)}" if report.edits else ""
         edited = "as it was" if args.update else "edited or not"
-        sys.stderr.write(f"fauio: {was} is written anew{kept}; what stood there, {edited}, is {report.set_aside}\n")
+        remark(f"{was} is written anew{kept}; what stood there, {edited}, is {report.set_aside}")
     for left_out in report.left_out:
-        sys.stderr.write(f"fauio: {out}: {left_out} is kept no longer, there is room for the newest flights only\n")
+        remark(f"{out}: {left_out} is kept no longer, there is room for the newest flights only")
     if args.json:
-        _say(json.dumps(report.to_json() | {"damage": damaged}))
+        say_json(report.to_json() | {"damage": damaged})
         return 0
     more = "updated with" if args.update else "from"
-    _say(f"{out}: profile of '{name}' {more} {len(args.logs)} logs")
-    for line in report.text():
-        _say(line)
-    _say("The thresholds are in profile.toml and may be edited; fit.txt and fit.png say how good the fit is.")
+    say(f"{out}: profile of '{name}' {more} {len(args.logs)} logs")
+    say(*report.text())
+    say("The thresholds are in profile.toml and may be edited; fit.txt and fit.png say how good the fit is.")
     return 0
 
 
@@ -237,19 +234,22 @@ def run_convert(args: argparse.Namespace) -> int:
     count = convert(entries, args.log.name, args.out, onboard)
     damage = _warn(recording.damage())
     if args.json:
-        _say(json.dumps({"log": str(args.log), "out": str(args.out), "messages": count, "damage": damage}))
+        say_json({"log": str(args.log), "out": str(args.out), "messages": count, "damage": damage})
     else:
-        _say(f"{args.out}: {count} messages")
+        say(f"{args.out}: {count} messages")
     return 0
 
 
 def run_info(args: argparse.Namespace) -> int:
     """Run ``fauio info``."""
     from replay.inspection.info import info
-    from replay.inspection.info_text import info_text
+    from replay.inspection.info_text import info_lines
 
     content = info(args.file)
-    sys.stdout.write(json.dumps(content) + "\n" if args.json else info_text(content))
+    if args.json:
+        say_json(content)
+    else:
+        say(*info_lines(content))
     return 0
 
 
@@ -264,10 +264,5 @@ def _about_logs(line: str, logs: Sequence[Path], model: Path | None) -> str:
 def _warn(damaged: Iterable[Damage]) -> list[dict[str, Any]]:
     """Say on stderr what of recordings could not be read, a line for each file; return it for JSON."""
     damage = list(damaged)
-    for part in damage:
-        sys.stderr.write(f"fauio: {part.line()}; all else was read\n")
+    remark(*(f"{part.line()}; all else was read" for part in damage))
     return [part.to_json() for part in damage]
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")

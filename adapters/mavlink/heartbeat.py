@@ -1,4 +1,4 @@
-"""Whose heartbeat it is."""
+"""Whose heartbeat it is, and which flight mode it tells of."""
 
 from __future__ import annotations
 
@@ -35,6 +35,8 @@ ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED of ``base_mode``."""
 NO_AUTOPILOT = 8
 """MAV_AUTOPILOT_INVALID: a component that is no flight controller."""
+ARDUPILOT = 3
+"""MAV_AUTOPILOT_ARDUPILOTMEGA."""
 PX4 = 12
 """MAV_AUTOPILOT_PX4."""
 _GROUND_STATION = 6
@@ -64,3 +66,16 @@ def is_autopilot_heartbeat(message: Message) -> bool:
         and message.fields.get("type") != _GROUND_STATION
         and message.fields.get("autopilot") != NO_AUTOPILOT
     )
+
+
+def mode_name(autopilot: int, kind: int, base: int, custom: int) -> str:
+    """Return the name of a mode, an empty one where nobody knows it.
+
+    ``autopilot``, ``kind`` (MAV_TYPE), ``base`` and ``custom`` are those of the heartbeat.
+    """
+    from pymavlink import mavutil
+
+    if autopilot == PX4:
+        return str(mavutil.interpret_px4_mode(base, custom))
+    names = mavutil.mode_mapping_bynumber(kind) if autopilot == ARDUPILOT else None
+    return str((names or {}).get(custom, ""))

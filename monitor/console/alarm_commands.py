@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adapters.command_line import remark, say
+
 if TYPE_CHECKING:
     import zenoh
 
@@ -170,21 +172,20 @@ def _print_lines(
             sys.stdout.flush()
         before, live = live, subscriber.live
         for vehicle in sorted(live - before):
-            _say(f"monitor of {vehicle} is there")
+            remark(f"monitor of {vehicle} is there")
         for vehicle in sorted(before - live):
-            _say(f"monitor of {vehicle} is gone; waiting for it")
+            remark(f"monitor of {vehicle} is gone; waiting for it")
         for status in statuses.latest():
             if status.kind != said.get(status.vehicle) and (not status.well or status.vehicle in said):
                 said[status.vehicle] = status.kind
-                _say(status.line())
+                remark(status.line())
         if silent and not live and now - started >= NOBODY_AFTER_S:
-            _say(f"{nobody} yet; waiting (start one with 'fauio run')")
+            remark(f"{nobody} yet; waiting (start one with 'fauio run')")
         silent = silent and not live and now - started < NOBODY_AFTER_S
 
 
 def run_command(args: argparse.Namespace) -> int:
     """Ask a monitor to do something to an alarm, print what it did."""
-    from adapters.errors import printable
     from monitor.bus.alarm_text import alarm_line
     from monitor.bus.payload import to_json
     from monitor.console.operator_client import find_target, send_command
@@ -199,7 +200,7 @@ def run_command(args: argparse.Namespace) -> int:
         sys.stdout.write(to_json(reply).decode() + "\n")
     else:
         event = valid_event(reply.get("event"))
-        sys.stdout.write(printable(f"{args.verb} {args.target}: done" if event is None else alarm_line(event)) + "\n")
+        say(f"{args.verb} {args.target}: done" if event is None else alarm_line(event))
     return 0
 
 
@@ -218,10 +219,3 @@ def _user() -> str:
         return getpass.getuser()
     except (KeyError, OSError):  # no such user, as in many containers
         return "unknown"
-
-
-def _say(text: str) -> None:
-    from adapters.errors import printable
-
-    sys.stderr.write(f"fauio: {printable(text)}\n")
-    sys.stderr.flush()

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import queue
+import select
+import sys
+import termios
 import threading
 import time
+import tty
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 from rich import box
 from rich.cells import cell_len
@@ -20,7 +25,6 @@ from monitor.bus.estimate_watch import EstimateWatch
 from monitor.bus.status_watch import StatusWatch, VehicleStatus
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.console.alarm_table import AlarmRow, AlarmTable, RowKey
-from monitor.console.keyboard import Keyboard
 
 REFRESH_S = 0.25
 """Chosen: four times a second looks live and costs next to nothing."""
@@ -48,6 +52,10 @@ _LAYOUTS = (
     ("severity", "vehicle", "channel", "brief", "state"),
     ("vehicle", "channel", "brief", "state"),
 )
+
+_ARROWS = {b"\x1b[A": "up", b"\x1b[B": "down", b"\x1bOA": "up", b"\x1bOB": "down"}
+_MOST_BYTES = 256
+"""Chosen: more than a person presses between two looks."""
 
 
 def can_redraw() -> bool:
@@ -213,3 +221,34 @@ def _style(row: AlarmRow) -> str:
         return "dim"
     weight = "" if "acknowledged" in row.state else "bold"
     return f"{weight} {_COLOURS.get(row.severity, '')}".strip()
+
+
+class Keyboard:
+    """Reads keys as a context; the terminal is as before afterwards. Where standard input is none, no key comes."""
+
+    def __init__(self) -> None:
+        self._file: int | None = None
+        self._before: list[Any] = []
+
+    def pressed(self) -> list[str]:
+        """Return the keys pressed since the last call: letters, ``up`` and ``down``."""
+        if self._file is None or not select.select([self._file], [], [], 0.0)[0]:
+            return []
+        data = os.read(self._file, _MOST_BYTES)
+        if not data:  # its other end is gone
+            self._file = None
+        for code, name in _ARROWS.items():
+            data = data.replace(code, b"\n" + name.encode() + b"\n")
+        words = data.decode("ascii", "ignore").split("\n")
+        return [key for word in words for key in ([word] if word in _ARROWS.values() else word)]
+
+    def __enter__(self) -> Self:
+        if sys.stdin is not None and sys.stdin.isatty():
+            self._file = sys.stdin.fileno()
+            self._before = termios.tcgetattr(self._file)
+            tty.setcbreak(self._file)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._before:
+            termios.tcsetattr(sys.stdin.fileno(), termios.TCSADRAIN, self._before)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from adapters.channels import number
 from adapters.errors import printable
-from adapters.mavlink.flight_modes import mode_name
+from adapters.mavlink.heartbeat import ARMED, mode_name
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
 from monitor.bus.payload import decode_payload
 from monitor.bus.status_watch import MAX_VEHICLES, StatusWatch, VehicleStatus
@@ -35,8 +35,6 @@ _GONE_NS: Final = 3600 * 1_000_000_000
 """Chosen: a vehicle whose monitor is gone is shown until one has noticed, and not for days."""
 _UNKNOWN: Final[tuple[int, dict[str, Any]]] = (0, {"state": "starting"})
 """Card of a vehicle whose monitor has said nothing yet."""
-_ARMED: Final = 128
-"""MAV_MODE_FLAG_SAFETY_ARMED"""
 
 
 class FleetView:
@@ -158,7 +156,7 @@ def flight_mode(beat: Mapping[str, Any]) -> str:
     if not (type(kind) is int and type(base) is int and type(custom) is int and 0 <= custom < 1 << 32):
         return ""
     name = mode_name(autopilot if type(autopilot) is int else 0, kind, base, custom) or f"mode {custom}"
-    return name if base & _ARMED else f"{name}, disarmed"
+    return name if base & ARMED else f"{name}, disarmed"
 
 
 def _clean(event: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from pathlib import Path
 
+from adapters.command_line import say
 from adapters.errors import UsageError
 from monitor.console.alarm_commands import add_endpoints, monitors
 
@@ -74,8 +74,7 @@ def run_console(args: argparse.Namespace) -> int:
     with caught_signals() as signals, monitors(args) as (session, where):
         server = ConsoleServer(session, options)
         try:
-            sys.stdout.write(f"{server.url} shows the monitors at {', '.join(where)}; Ctrl-C ends\n")
-            sys.stdout.flush()
+            say(f"{server.url} shows the monitors at {', '.join(where)}; Ctrl-C ends")
             while server.wait(_LOOK_S) and not signals:
                 pass
         finally:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import platform
 import sys
 from collections.abc import Sequence
@@ -11,6 +10,8 @@ from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+from adapters.command_line import say_json
 
 if TYPE_CHECKING:
     from monitor.configuration.config import Config
@@ -63,8 +64,7 @@ def run_doctor(args: argparse.Namespace) -> int:
     """Run ``fauio doctor``."""
     checks = diagnose(*_needs(args))
     if args.json:
-        report = {"status": worst(checks), "checks": [asdict(check) for check in checks]}
-        sys.stdout.write(json.dumps(report) + "\n")
+        say_json({"status": worst(checks), "checks": [asdict(check) for check in checks]})
     else:
         sys.stdout.write(checks_text(checks))
     return FAILED if worst(checks) == "failed" else 0

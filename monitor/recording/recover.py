@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adapters.command_line import say, say_json
 from adapters.errors import FauioError, StorageError, UsageError
 
 if TYPE_CHECKING:
@@ -108,13 +107,13 @@ def run_recover(args: argparse.Namespace) -> int:
             finished += [] if done is None else [done]
     if args.json:
         rows = [asdict(recording) | {"path": str(recording.path)} for recording in finished]
-        sys.stdout.write(json.dumps({"finished": rows, "not_finished": mistakes}) + "\n")
+        say_json({"finished": rows, "not_finished": mistakes})
     else:
         for recording in finished:
             cut = f"; {recording.cut_bytes} bytes of a record that was cut off removed" if recording.cut_bytes else ""
-            sys.stdout.write(f"{recording.path}: finished, {recording.messages} messages{cut}\n")
+            say(f"{recording.path}: finished, {recording.messages} messages{cut}")
         if not finished and not mistakes:
-            sys.stdout.write(f"{args.place}: nothing to finish\n")
+            say(f"{args.place}: nothing to finish")
     if mistakes and not args.json:
         raise StorageError("\n".join(mistakes))
     return 2 if mistakes else 0

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.command_line import say
 from adapters.errors import FauioError, UsageError
 from adapters.logs.recordings import read_batches
 from adapters.output_file import write_file
@@ -91,7 +92,7 @@ def demo(vehicle: str, out: Path, speed: float | None, console: bool = False) ->
     out.mkdir(parents=True, exist_ok=True)
     scene = _arm_scene(out) if vehicle == "arm" else _copter_scene()
     pace = speed or (1.0 if console else 2.0 if vehicle == "arm" else 4.0)
-    _say(scene.title)
+    say(scene.title)
     record = out / f"{vehicle}.mcap"
     events = _run_live(scene, record, pace, _monitor_config(out) if console else None)
     replayed = play_batches(read_profile(scene.profile), read_batches(record), keep_traces=True)
@@ -104,7 +105,7 @@ def demo(vehicle: str, out: Path, speed: float | None, console: bool = False) ->
 
 
 def _arm_scene(out: Path) -> DemoScene:
-    _say("designing the arm's observer and calibrating its alarms ...")
+    say("designing the arm's observer and calibrating its alarms ...")
     profile = out / "arm-profile"
     write_arm_profile(profile)
     names = {"f_a": "motor", "f_s": "encoder"}
@@ -163,7 +164,7 @@ def _run_live(scene: DemoScene, record: Path, speed: float, config: Path | None)
         try:
             subscriber = AlarmSubscriber(session)
             _wait_for_monitor(subscriber, daemon)
-            _say(f"monitor listens to MAVLink on udp {udp} and publishes on Zenoh at {endpoint}")
+            say(f"monitor listens to MAVLink on udp {udp} and publishes on Zenoh at {endpoint}")
             if config is None:
                 return _watch(scene, subscriber, scene.sender(udp, speed), None)
             with caught_signals() as signals, _page(session, config.parent, signals):
@@ -188,7 +189,7 @@ def _page(session: zenoh.Session, out: Path, signals: Sequence[int]) -> Iterator
     except UsageError:  # the port is taken
         server = ConsoleServer(session, replace(options, listen="127.0.0.1:0"))
     with contextlib.closing(server):
-        _say(f"open {server.url} in a browser; Ctrl-C ends")
+        say(f"open {server.url} in a browser; Ctrl-C ends")
         if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or sys.platform == "darwin":
             webbrowser.open(server.url)
         until = time.monotonic() + _PAGE_S
@@ -221,13 +222,13 @@ def _watch(
             event = subscriber.receive(0.1)
             if event is not None and event.kind not in ("stale", "blind"):
                 events.append(event)
-                _say(_announce(scene, event))
+                say(_announce(scene, event))
             if until is None and signals:
                 raise KeyboardInterrupt
             if until is None and sender.poll() is not None:
                 until = time.monotonic() + _LAST_EVENTS_S
                 if signals is not None:
-                    _say("the flight is over; the page stays until Ctrl-C")
+                    say("the flight is over; the page stays until Ctrl-C")
     finally:
         sender.kill()
         sender.wait()
@@ -252,7 +253,7 @@ def _announce(scene: DemoScene, event: AlarmEvent) -> str:
 
 def _report(scene: DemoScene, events: Sequence[AlarmEvent], replayed: Replay, out: Path, vehicle: str) -> int:
     same = [event for event in replayed.events if event.kind not in ("stale", "blind")] == list(events)
-    _say(f"replaying the recording gives the same {len(events)} events: {'yes' if same else 'NO'}")
+    say(f"replaying the recording gives the same {len(events)} events: {'yes' if same else 'NO'}")
     missing = [
         truth.channel
         for truth in scene.truth
@@ -260,10 +261,10 @@ def _report(scene: DemoScene, events: Sequence[AlarmEvent], replayed: Replay, ou
     ]
     wrong = sorted({event.channel for event in events} - {truth.channel for truth in scene.truth})
     for channel in missing:
-        _say(f"MISSED: {channel}")
+        say(f"MISSED: {channel}")
     for channel in wrong:
-        _say(f"FALSE: {channel}")
-    _say(f"left in {out}/: {vehicle}.mcap (recording), {vehicle}.rrd (open with 'rerun'), {vehicle}.png (plot)")
+        say(f"FALSE: {channel}")
+    say(f"left in {out}/: {vehicle}.mcap (recording), {vehicle}.rrd (open with 'rerun'), {vehicle}.png (plot)")
     return 0 if same and not missing and not wrong else 1
 
 
@@ -284,8 +285,3 @@ def _free_port(kind: socket.SocketKind) -> int:
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from adapters.errors import printable
 from monitor.display import size_text
 
 _FORMATS = {
@@ -22,15 +21,15 @@ _WIDTH = 110
 """Letters of a line of a list. Chosen: a wide terminal."""
 
 
-def info_text(content: Mapping[str, Any]) -> str:
-    """Return the lines for what ``info`` found, names from a recording without control characters."""
+def info_lines(content: Mapping[str, Any]) -> Iterator[str]:
+    """Return the lines for what ``info`` found."""
     kinds: dict[str, Callable[[Mapping[str, Any]], Iterator[str]]] = {
         "recording": _recording,
         "profile": _profile,
         "gains": _gains,
         "model": _model,
     }
-    return "\n".join(map(printable, kinds[content["kind"]](content))) + "\n"
+    return kinds[content["kind"]](content)
 
 
 def _recording(content: Mapping[str, Any]) -> Iterator[str]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from adapters.command_line import remark, say, say_json
 from adapters.errors import UsageError
 from adapters.output_file import naming
 
@@ -226,7 +226,7 @@ def _outcomes(
 
         alone = len(tasks) == 1
         shown = alone and args.verbose and not args.json
-        on_event = (lambda event: _say(alarm_line(event))) if shown else None
+        on_event = (lambda event: say(alarm_line(event))) if shown else None
         for task in tasks:
             yield replay_log(profile, task, on_event, live=live, progress=alone)
 
@@ -253,25 +253,19 @@ class _Lines:
 
 def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
     """Say what was found in a log."""
-    from adapters.errors import printable
     from monitor.bus.alarm_text import alarm_line, utc
 
     damage = [part.line() for part in outcome.damage]
     if outcome.error is not None:
-        sys.stderr.write(printable(f"fauio: {'; '.join([outcome.error, *damage])}") + "\n")
+        remark("; ".join([outcome.error, *damage]))
     else:
-        sys.stderr.writelines(printable(f"fauio: {line}; all else was read") + "\n" for line in damage)
+        remark(*(f"{line}; all else was read" for line in damage))
     if as_json:
-        _say(json.dumps(outcome.to_json()))
+        say_json(outcome.to_json())
     elif outcome.error is None:
-        for event in outcome.events if with_events else ():
-            _say(alarm_line(event))
-        for line in outcome.alarms:
-            _say(printable(line))
-        for condition in outcome.conditions:
-            _say(printable(f"{utc(condition.since_ns)[:19]}Z no fault: {condition.text}"))
-        _say(printable(outcome.verdict))
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
+        say(
+            *(map(alarm_line, outcome.events) if with_events else ()),
+            *outcome.alarms,
+            *(f"{utc(condition.since_ns)[:19]}Z no fault: {condition.text}" for condition in outcome.conditions),
+            outcome.verdict,
+        )

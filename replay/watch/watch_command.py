@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
+
+from adapters.command_line import say, say_json
 
 INDEX_FILE: Final = "index.html"
 _EVERY_S: Final = 5.0
@@ -37,7 +37,7 @@ def add_watch(subparsers: Any) -> None:
 
 def run_watch(args: argparse.Namespace) -> int:
     """Run ``fauio watch``."""
-    from adapters.errors import UsageError, printable
+    from adapters.errors import UsageError
     from replay.runs.log_list import check_output_folder
     from replay.watch.folder_watch import FolderWatch
 
@@ -48,9 +48,10 @@ def run_watch(args: argparse.Namespace) -> int:
     watch = FolderWatch(args.folder, args.out, args.profile, settled_s=0.0 if args.once else _SETTLED_S)
     while True:
         for log in watch.look():
-            line = json.dumps(asdict(log)) if args.json else printable(log.error or f"{log.log}: {log.verdict}")
-            sys.stdout.write(line + "\n")
-            sys.stdout.flush()
+            if args.json:
+                say_json(asdict(log))
+            else:
+                say(log.error or f"{log.log}: {log.verdict}")
         if args.once:
             return 0
         time.sleep(_EVERY_S)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from adapters.command_line import remark, say, say_json
 
 if TYPE_CHECKING:
     from replay.wear.trend import LoggedFlight
@@ -47,7 +47,7 @@ def add_trend(subparsers: Any) -> None:
 
 def run_trend(args: argparse.Namespace) -> int:
     """Run ``fauio trend``."""
-    from adapters.errors import TelemetryError, UsageError, printable
+    from adapters.errors import TelemetryError, UsageError
     from adapters.output_file import check_suffix
     from replay.runs.log_list import check_output
     from replay.wear.flight_table import SUFFIXES, read_table
@@ -77,12 +77,11 @@ def run_trend(args: argparse.Namespace) -> int:
         from replay.wear.trend_plot import plot_trends
 
         plot_trends(args.plot, wear)
-    for log in wear.doubled:
-        sys.stderr.write(printable(f"fauio: {log}: left out; another log tells of the same time") + "\n")
+    remark(*(f"{log}: left out; another log tells of the same time" for log in wear.doubled))
     if args.json:
-        sys.stdout.write(json.dumps(wear.to_json(), allow_nan=False) + "\n")
+        say_json(wear.to_json())
     else:
-        sys.stdout.writelines(printable(line) + "\n" for line in (*wear_sentences(wear), *trend_lines(wear)))
+        say(*wear_sentences(wear), *trend_lines(wear))
     return 0
 
 
@@ -121,7 +120,6 @@ def _kept(folder: Path) -> Iterator[LoggedFlight]:
 
 def _replayed(folder: Path, arguments: Sequence[Path]) -> Iterator[LoggedFlight]:
     """Yield what logs say of wear; one that cannot be replayed is told on stderr and left out."""
-    from adapters.errors import printable
     from monitor.bus.alarm_text import utc
     from monitor.fitting.progress import track
     from monitor.profile import read_profile
@@ -133,7 +131,7 @@ def _replayed(folder: Path, arguments: Sequence[Path]) -> Iterator[LoggedFlight]
     for log in track(logs, "replaying", "logs", total=len(logs)):
         outcome = replay_log(profile, LogTask(log=str(log.path), path=log.path, folder=folder))
         if outcome.error is not None or not outcome.evidence:
-            sys.stderr.write(printable(f"fauio: {outcome.error or outcome.verdict}; left out") + "\n")
+            remark(f"{outcome.error or outcome.verdict}; left out")
             continue
         duration_s = (outcome.end_ns - outcome.start_ns) / 1e9
         yield LoggedFlight(outcome.log, utc(outcome.start_ns), duration_s, outcome.watched_s, outcome.levels)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from adapters.mavlink.flight_modes import ARDUPILOT, PX4, mode_name
+from adapters.mavlink.heartbeat import ARDUPILOT, PX4, mode_name
 from monitor.alarms.command_watch import COMMANDS, CommandSent, command_sent
 from replay.review.facts.log_facts import (
     ANGLES,

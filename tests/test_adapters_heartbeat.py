@@ -2,7 +2,7 @@
 
 import pytest
 
-from adapters.mavlink.flight_modes import ARDUPILOT, PX4, mode_name
+from adapters.mavlink.heartbeat import ARDUPILOT, PX4, mode_name
 
 
 @pytest.mark.parametrize(
