@@ -389,6 +389,24 @@ def test_a_fault_of_another_sensor_gets_none_of_their_names(sensors: tuple[Chang
     assert not (judged(rule, flown).nats >= nats).any()
 
 
+@pytest.mark.parametrize("noise", [0.05, 0.2, 1.0])
+def test_another_stream_of_a_sensor_with_any_noise_is_no_fault_of_it(
+    sensors: tuple[ChangeRule, float], noise: float
+) -> None:
+    rule, nats = sensors
+    flown = travel(np.random.default_rng(25), 30.0)
+    # evidence begins as long after the samples as an observer takes to settle
+    flown.armed[: round(15.0 * INERTIAL_HZ)] = False
+    held = np.repeat(np.random.default_rng(26).normal(size=len(flown) // 3), 3)
+    flown.samples.y[:, OUTPUTS.index("baro_down")] += noise * held
+    assert not (judged(rule, flown).nats >= nats).any()
+    flown.samples.y[:] += course("gps_north", 2.0, False, 500, len(flown))
+    run = judged(rule, flown)
+    rows = np.flatnonzero(run.nats >= nats)
+    assert rows[0] <= 506
+    assert {list(SENSORS)[fault] for fault in run.named[rows]} == {"gps_north"}
+
+
 def test_heavy_tails_raise_no_more_alarms_than_promised(sensors: tuple[ChangeRule, float]) -> None:
     rule, nats = sensors
     for seed in range(30, 34):

@@ -22,7 +22,8 @@ cdef double AGAINST_GAIN = 12.5
 cdef double UNEXPLAINED_SHARE = 1.0
 cdef double NOISE_OF_AXIS = 1.0
 # Largest square with which a row counts in the noise's own level: a fault begins with larger ones, and must not hide
-# itself. Chosen: three deviations.
+# itself. Chosen: three deviations. Of sensors, whose faults step once and not in every row, they are those of the level
+# so far: another stream of a sensor, less filtered, of another rate or rounding, has any noise, and that is followed.
 cdef double LEVEL_CLIP = 9.0
 # Losses that can be one. Chosen: a quarter more than everything, for sizes of the first samples are rough.
 cdef double LARGEST_LOSS = 1.25
@@ -314,6 +315,7 @@ cdef class ChangeTest:
         """
         cdef Py_ssize_t k, owner, count = u.shape[0]
         cdef double sign = -1.0 if self.m else 1.0
+        cdef bint known
         results = np.empty(count, np.intp), *np.zeros((4, count)), np.empty(count, np.int64)
         cdef Py_ssize_t[::1] named = results[0]
         cdef double[::1] nats = results[1], size = results[2], growth = results[3], sd = results[4]
@@ -322,10 +324,13 @@ cdef class ChangeTest:
         for k in range(count):
             self.take(u, y, k, usable[k], restart[k])
             named[k], onset_ns[k] = -1, times_ns[k]
-            if self.known <= self.P or self.commands <= self.depth or not armed[k]:
+            known = self.known > self.P and self.commands > self.depth
+            if known and (armed[k] or self.driven):
+                # A stream's noise is there before what counts as evidence; an actuator's is of its motion.
+                self.whiten()
+            if not (known and armed[k]):
                 self.drop_onsets()
                 continue
-            self.whiten()
             self.accumulate()
             owner = self.judge(believed[k], 0.0 if asked is None else asked[k], &found)
             if owner >= 0:
@@ -397,7 +402,7 @@ cdef class ChangeTest:
     cdef void whiten(self) noexcept:
         """z = (nu - sum_i Phi_i nu(k - i)) / sigma, at most ``clip``; sigma^2 = (c_0 + c_1 r^2 + c_2 d^2) lambda."""
         cdef Py_ssize_t i, j, d, lag, newest = self.row % self.length
-        cdef double e, rate, moved, square, length = 0.0, weight
+        cdef double e, rate, moved, square, level, length = 0.0, weight
         for i in range(self.p):
             e = self.innovation[newest, i]
             for lag in range(self.P):
@@ -409,8 +414,9 @@ cdef class ChangeTest:
                 self.variance[i, 0] + self.variance[i, 1] * rate * rate + self.variance[i, 2] * moved * moved)
             square = e * e / (self.sigma[i] * self.sigma[i])
             # Gusts that the fitted flights did not have; never below what they had.
-            self.sigma[i] *= sqrt(max(1.0, self.level[i]))
-            self.level[i] += self.follow * (min(square, LEVEL_CLIP) - self.level[i])
+            level = max(1.0, self.level[i])
+            self.sigma[i] *= sqrt(level)
+            self.level[i] += self.follow * (min(square, LEVEL_CLIP * (level if self.driven else 1.0)) - self.level[i])
             self.whitened[i] = e / self.sigma[i]
             length += self.whitened[i] * self.whitened[i]
         # A row that no noise explains counts as one of larger noise: for and against every hypothesis alike.
