@@ -229,6 +229,42 @@ def test_the_end_of_a_gyros_bias_is_one_step_to_nothing() -> None:
     assert np.all(sizes[:ended] > 0.05)
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_gyros_fault_that_an_autopilot_learns_and_unlearns_accuses_nothing_once_it_is_over(axis: int) -> None:
+    raw = noisy(60.0, 4)
+    since = (np.arange(len(raw)) - ONSET) / truth.SIGNAL_HZ
+    # what is sent is less the bias that was learned: a pulse at the beginning, and the opposite one at the end
+    for began_s, size in ((0.0, 0.1), (20.0, -0.1)):
+        raw[:, 3 + axis] += np.where(since >= began_s, size * np.exp(-np.clip(since - began_s, 0.0, None)), 0.0)
+    found = named(raw)
+    assert np.max(found[NAMES[axis]]) > 0.02
+    assert others(found, NAMES[axis]) == 0.0
+    assert np.all(found[NAMES[axis]][ONSET // 10 + 100 :] == 0.0)
+
+
+def test_another_fault_after_one_of_a_gyro_is_named() -> None:
+    raw = noisy(75.0, 4)
+    raw[ONSET:END, 4] += 0.1
+    raw[5000:, 3] += 0.1
+    found = named(raw)
+    assert found["gyro_x"][530] == pytest.approx(0.1, rel=0.3)
+    assert np.all(found["gyro_x"][:500] == 0.0)
+
+
+def test_a_velocity_of_the_gps_that_steps_back_leaves_nothing_and_one_that_turns_round_does() -> None:
+    raw = noisy(75.0, 4)
+    times = np.arange(len(raw))
+    away = np.select([times < ONSET, times < 3500, times < 5000], [0.0, 0.7, -0.7], 0.0)
+    apart = []
+    for signals in (raw, led(raw, away)):
+        transform = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
+        apart.append(transform.run(raw_samples(signals, 0)).samples.y[:, transform.outputs.index("gps_velocity_north")])
+    difference = np.abs(apart[1] - apart[0])
+    # a second after it turned round twice the step is there, a second after it led back nothing of it
+    assert difference[3600 // 4] > 1.0
+    assert difference[5100 // 4 :].max() < 0.05
+
+
 def test_after_a_gyros_fault_the_compass_is_levelled_by_the_navigation() -> None:
     raw = noisy(45.0, 2)
     faulty = raw.copy()

@@ -59,8 +59,8 @@ cdef class Navigation:
     # turn it; the largest rate of late.
     cdef double _field_delay_s, _field_timing_s, _field_noise, _field_walk, _direction, _declined, _strength
     cdef double _back_s, _whirl
-    # for how long no ramp of the GPS's velocity is believed
-    cdef double _tilted_s
+    # whether a gyro was at fault, whose bias an estimator may have learned
+    cdef bint _learned
     cdef double[3] _field
     cdef double[2] _tilting
     cdef bint _pointed, _aimed
@@ -79,7 +79,7 @@ cdef class Navigation:
     cdef readonly double score
     # Whether the magnetic field jumped and has not come back.
     cdef bint strayed
-    # Whether a step has led the GPS's velocity back to where it was.
+    # Whether what led the GPS's velocity or the navigation away is over, and what was washed out meanwhile is void.
     cdef bint returned
 
     cdef void restart(self) noexcept

@@ -33,6 +33,10 @@ what the filter has followed of the fault before it was believed is a part of it
 
 as errors of a bias that walks slowly have one sign (cov >= 0); the bound is what is given out.
 
+An autopilot learns the bias of a gyro and takes it off what it sends, which looks like the fault's end. The end itself
+then comes unannounced, is learned as well, and leaves a tilt that looks like any fault of these. So what looks like one
+first after a gyro's accuses nothing, and all begins anew from the autopilot's attitude: a fault is still there then.
+
 A velocity of the GPS that ramps is followed as such, with what the filter had learned from it taken back, until a step
 leads back: position and velocity of a receiver that was led away are then right at once.
 
@@ -104,9 +108,6 @@ cdef double _LEAST_RAMP = 0.1
 # For how long it has lasted by then, s: within 2.5 s the end of a gyro's or an accelerometer's fault is known, which
 # begins like one.
 cdef double _RAMPS_S = 3.0
-# For how long none is after a gyro was at fault, s: where an estimator learned its bias, that fades back in 10 to 20 s
-# once the fault ends, and looks like a ramp. Chosen: as long as a recorded fault and its end.
-cdef double _RAMPLESS_S = 60.0
 # Largest bias that is believed, rad/s and m/s^2: what is more is no navigation of this flight any more. Chosen: ten and
 # six times those of which flights were recorded; with it no autopilot keeps the vehicle in the air.
 cdef double[2] _MOST = [1.0, 4.0]
@@ -115,6 +116,9 @@ cdef double[2] _MOST = [1.0, 4.0]
 cdef double _TURNED = 0.5
 # Steps with a fault that no hypothesis tells until the filter begins anew: a second set of onsets.
 cdef int _HELPLESS = 2 * ONSETS
+# Share of a step of the GPS's velocity that may be left of what led it away where it leads back: of one that turns
+# round half is left, and this is halfway.
+cdef double _LEFT = 0.25
 # Fixes that tell a step from a turn: the line from one measurement to the next may hide it in the first of them.
 cdef int _STEPS = 3
 # Steps between two onsets.
@@ -176,7 +180,7 @@ cdef class Navigation:
     cdef void restart(self) noexcept:
         self._begun = False
         self.score = 0.0
-        self.strayed = self.returned = False
+        self.strayed = self.returned = self._learned = False
         memset(self._missed, 0, sizeof(self._missed))
 
     cdef void begin(self, const double* R) noexcept:
@@ -199,7 +203,7 @@ cdef class Navigation:
         memset(self._missed, 0, sizeof(self._missed))
         memset(self._field, 0, sizeof(self._field))
         memset(self._tilting, 0, sizeof(self._tilting))
-        self._declined = self._back_s = self._whirl = self._tilted_s = self._late_s = 0.0
+        self._declined = self._back_s = self._whirl = self._late_s = 0.0
         self._pointed = self._aimed = False
         self._ticks = self._count = self._helpless = 0
         self._turned = False
@@ -441,11 +445,11 @@ cdef class Navigation:
     cdef void put_off(self, int m, double size) noexcept:
         """Take a step for one of the GPS's velocity; one that leads back ends what led it away, and it is right."""
         self._offset[m] += size
-        if fabs(self._offset[m]) < 0.5 * fabs(size):
+        if fabs(self._offset[m]) < _LEFT * fabs(size):
             self._velocity[m] += self._offset[m]
             self._offset[m] = self._drift[m] = 0.0
-            self.returned |= self._led[m]
             self._led[m] = False
+            self.returned = True
         self._count = 0
 
     cdef double led(self, int axis) noexcept:
@@ -577,9 +581,8 @@ cdef class Navigation:
         cdef double likelihood, others, size, least, step_s = self._every * self._dt
         cdef Signature* signature
         cdef int h, k, which = 0, n = self.onsets()
-        self._tilted_s = max(0.0, self._tilted_s - step_s)
-        if self._faulty[0] or self._faulty[1] or self._faulty[2]:
-            self._tilted_s = _RAMPLESS_S
+        cdef bint turning = self._faulty[0] or self._faulty[1] or self._faulty[2]
+        self._learned |= turning
         for h in range(HYPOTHESES):
             best[h], onset[h], end[h], ended[h] = 0.0, 0, 0.0, 0
         for k in range(n):
@@ -615,6 +618,10 @@ cdef class Navigation:
         # Magnetometers are judged elsewhere.
         self.score = best[which] if which != _TURN else 0.0
         self._helpless = self._helpless + 1 if self.score > self._level else 0
+        if self._learned and not turning and self.score > self._level and not _JUMP <= which < _RAMP:
+            self.restart()
+            self.returned = True
+            return
         if (
             best[which] > self._level
             and best[which] > others + _MARGIN
@@ -626,7 +633,7 @@ cdef class Navigation:
             if (
                 fabs(size) > least
                 and (which >= _JUMP or fabs(size) < _MOST[which >= 3])
-                and (which < _RAMP or (signature.age * step_s > _RAMPS_S and self._tilted_s == 0.0))
+                and (which < _RAMP or signature.age * step_s > _RAMPS_S)
             ):
                 self.jump(signature, which, size, 1.0 / signature.energy[which])
                 return
