@@ -4,9 +4,9 @@ BIN := $(VENV)/bin
 # What is compiled on installing: a change installs anew.
 CORE := $(wildcard adapters/mavlink/*.pyx monitor/core/*.pyx monitor/core/*.pxd)
 
-# Five processes for two cores: half of what the suite takes is waiting for daemons, in real time, and for networks. Files of
-# such tests are spread over the others (tests/conftest.py).
-PYTEST := $(BIN)/python -m pytest -n 5 --dist loadfile --no-loadscope-reorder
+# Four processes for two cores: a third of what the suite takes is waiting for daemons, in real time, and for networks. Files
+# of such tests are spread over the others (tests/conftest.py). Another process collects all tests for itself, 8 s.
+PYTEST := $(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder
 
 # The compiled core in place, for whoever works on it.
 .PHONY: core demo console test test-long test-system lint format docs dist clean

@@ -13,8 +13,10 @@ resistance of 20 milliohms.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from operator import mul
 
 import numpy as np
 
@@ -25,9 +27,9 @@ RATE_HZ, STEPS = 100, 4
 """Messages per second, and steps of the simulation per message."""
 FULL_V = 16.6
 _ANGLES = np.radians([45.0, 225.0, -45.0, 135.0])
-_MIXER = np.column_stack([-np.sin(_ANGLES), np.cos(_ANGLES), [1.0, 1.0, -1.0, -1.0], np.ones(4)])
-_EFFECT = np.array([160.0, 160.0, 16.0])
-_DAMPING = np.array([1.5, 1.5, 1.0])
+_MIXER = np.column_stack([-np.sin(_ANGLES), np.cos(_ANGLES), [1.0, 1.0, -1.0, -1.0], np.ones(4)]).tolist()
+_EFFECT = (160.0, 160.0, 16.0)
+_DAMPING = (1.5, 1.5, 1.0)
 _SPEED, _LAG_S, _DELAY = 9000.0, 0.04, 4
 _AMPS, OHM = 18.0, 0.02
 _CAPACITY_AS = 5.0 * 3600.0
@@ -37,9 +39,10 @@ _LINES = np.array([0.9, 1.3, 0.7, 1.1])
 _SHAKE = 0.4
 """Deviation of an axis of the raw accelerations, m/s^2, that is in no line. Twice a turn blades add 0.8 at full
 speed."""
-_GUSTS = np.array([0.015, 0.015, 0.005, 0.03])
-_GAINS = np.array([0.05, 0.05, 0.12])
-_WORKING = {part: np.ones(4) for part in ("esc", "prop", "motor", "balance")}
+_GUSTS = (0.015, 0.015, 0.005, 0.03)
+_GAINS = (0.05, 0.05, 0.12)
+_MOST_DRAWN = 26
+"""Random numbers for a row of messages: wanted motion, gusts, rates, three of each controller, levels of vibration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,44 +74,46 @@ def flight(
     are wanted of so many m/s (standard deviation). Without ``esc_hz`` no speed controller reports; controller k of the
     messages is that of motor ``order[k]`` + 1.
     """
-    rng = np.random.default_rng(seed)
+    rows = round(duration_s * RATE_HZ)
+    # floats and lists: arrays of four take several times as long
+    normal = iter(np.random.default_rng(seed).standard_normal(rows * _MOST_DRAWN).tolist()).__next__
     dt = 1.0 / (RATE_HZ * STEPS)
-    turn, turning = dt * 2.0 * np.pi * _SPEED / 60.0, _MIXER[:, :3].T
-    rate, gust, wanted = np.zeros(3), np.zeros(4), np.zeros(4)
-    speed, volts = np.full(4, np.sqrt(_HOVER)), FULL_V
+    turn, per_axis = dt * 2.0 * np.pi * _SPEED / 60.0, list(zip(*_MIXER, strict=True))[:3]
+    rate, gust, wanted = [0.0] * 3, [0.0] * 4, [0.0] * 4
+    speed, volts = [_HOVER**0.5] * 4, FULL_V
     climb, height_sum = 0.0, 0.0
-    on_the_way = [np.full(4, 0.35)] * _DELAY
+    on_the_way = [[0.35] * 4] * _DELAY
     start_ns = 1_800_000_000_000_000_000
     next_esc_s = 0.0 if esc_hz else float("inf")
     measuring, used_as = np.random.default_rng([seed, 1]), 0.0
-    current = np.zeros(4)
     shaking, angle, felt_m_s2 = np.random.default_rng([seed, 2]), np.array([0.3, 2.0, 4.0, 5.5]), -9.81
-    for k in range(round(duration_s * RATE_HZ)):
+    for k in range(rows):
         now_s = k / RATE_HZ
         if k % 30 == 0:
-            wanted = rng.normal(0.0, [0.5, 0.5, 0.6, climbs])
-        gust += -gust / RATE_HZ + rng.normal(0.0, _GUSTS)
-        controls = np.clip((wanted[:3] - rate) * _GAINS, -0.12, 0.12)
-        height_sum = np.clip(height_sum + (wanted[3] - climb) / RATE_HZ, -20.0, 20.0)
-        lift = 0.35 + 0.05 * (wanted[3] - climb) + 0.02 * height_sum
-        pulses = np.round(1000.0 + 1000.0 * np.clip(_MIXER @ np.append(controls, lift), 0.03, 1.0))
+            wanted = [sd * normal() for sd in (0.5, 0.5, 0.6, climbs)]
+        gust = [force - force / RATE_HZ + sd * normal() for force, sd in zip(gust, _GUSTS, strict=True)]
+        errors = [target - turned for target, turned in zip(wanted[:3], rate, strict=True)]
+        controls = [_within(gain * error, -0.12, 0.12) for gain, error in zip(_GAINS, errors, strict=True)]
+        height_sum = _within(height_sum + (wanted[3] - climb) / RATE_HZ, -20.0, 20.0)
+        controls.append(0.35 + 0.05 * (wanted[3] - climb) + 0.02 * height_sum)
+        pulses = [round(1000.0 + 1000.0 * _within(_dot(mixer, controls), 0.03, 1.0)) for mixer in _MIXER]
         acts = fault is not None and fault.onset_s <= now_s < fault.end_s
-        working = _WORKING
+        working = {part: [1.0] * 4 for part in ("esc", "prop", "motor", "balance")}
         if acts and fault is not None and fault.part in working:
-            sign = 1.0 if fault.part in ("motor", "balance") else -1.0
-            working = {**working, fault.part: np.ones(4)}
-            working[fault.part][fault.motor - 1] += sign * fault.share
-        on_the_way.append((pulses - 1000.0) / 1000.0)
-        applied = on_the_way.pop(0) * working["esc"] * volts / FULL_V
-        target = 0.25 + 1.1 * applied - 0.35 * applied**2
+            working[fault.part][fault.motor - 1] += (1.0 if fault.part in ("motor", "balance") else -1.0) * fault.share
+        on_the_way.append([(pulse - 1000.0) / 1000.0 for pulse in pulses])
+        applied = [d * works * volts / FULL_V for d, works in zip(on_the_way.pop(0), working["esc"], strict=True)]
+        targets = [0.25 + 1.1 * d - 0.35 * d * d for d in applied]
         for step in range(STEPS):
-            speed = speed + (target - speed) * dt / _LAG_S
-            thrust = working["prop"] * speed**2
-            torque = _EFFECT * (turning @ thrust) / 4.0
-            rate = rate + dt * (torque - _DAMPING * rate + gust[:3])
+            speed = [w + (target - w) * dt / _LAG_S for w, target in zip(speed, targets, strict=True)]
+            thrust = [works * w * w for w, works in zip(speed, working["prop"], strict=True)]
+            torques = [effect * _dot(turning, thrust) / 4.0 for effect, turning in zip(_EFFECT, per_axis, strict=True)]
+            turned = zip(rate, torques, _DAMPING, gust[:3], strict=True)
+            rate = [r + dt * (torque - damping * r + force) for r, torque, damping, force in turned]
             if shaken:
-                angle = angle + turn * speed
-                once, twice = _LINES * working["balance"] * speed**2, 0.8 * speed**2
+                angle = angle + turn * np.array(speed)
+                square = np.square(speed)
+                once, twice = _LINES * working["balance"] * square, 0.8 * square
                 force = shaking.normal([0.0, 0.0, felt_m_s2], _SHAKE)
                 force += (once @ np.cos(angle), once @ np.sin(angle), 0.4 * once @ np.cos(angle + 1.0))
                 force[2] += twice @ np.cos(2.0 * angle)
@@ -116,42 +121,51 @@ def flight(
                 stamp = {"time_usec": 5_000_000 + 2_500 * number}
                 accelerations = dict(zip(("xacc", "yacc", "zacc"), force.tolist(), strict=True))
                 yield _message("HIGHRES_IMU", start_ns + 2_500_000 * number, {**stamp, **accelerations})
-        lifted = 9.81 * float(thrust.sum()) / (4.0 * _HOVER) + gust[3]
+        lifted = 9.81 * sum(thrust) / (4.0 * _HOVER) + gust[3]
         felt_m_s2 = -lifted
         climb += (lifted - 9.81 - 0.3 * climb) / RATE_HZ
-        current = _AMPS * speed**3 * FULL_V / volts * working["motor"] * working["prop"]
+        drawn = zip(speed, working["motor"], working["prop"], strict=True)
+        current = [_AMPS * w**3 * FULL_V / volts * draws * pushes for w, draws, pushes in drawn]
         ohm = OHM * (1.0 + (fault.share if acts and fault is not None and fault.part == "battery" else 0.0))
-        used_as += float(current.sum()) / RATE_HZ
-        volts = FULL_V - sag_v * now_s / duration_s - ohm * float(current.sum())
+        used_as += sum(current) / RATE_HZ
+        volts = FULL_V - sag_v * now_s / duration_s - ohm * sum(current)
         stamp_ms, arrival_ns = 5_000 + 10 * k, start_ns + 10_000_000 * k
-        fields = {f"servo{i}_raw": int(pulse) for i, pulse in enumerate(pulses, start=1)}
+        fields = {f"servo{i}_raw": pulse for i, pulse in enumerate(pulses, start=1)}
         yield _message("SERVO_OUTPUT_RAW", arrival_ns, {"time_usec": stamp_ms * 1000, "port": 0, **fields})
         if felt:
             vertical = {"time_boot_ms": stamp_ms, "zacc": round(-1000.0 * lifted / 9.81)}
             yield _message("SCALED_IMU", arrival_ns, vertical)
-        noisy = (rate + rng.normal(0.0, 1e-3, 3)).tolist()
+        noisy = [turned + 1e-3 * normal() for turned in rate]
         rates = dict(zip(("rollspeed", "pitchspeed", "yawspeed"), noisy, strict=True))
         yield _message("ATTITUDE", arrival_ns, {"time_boot_ms": stamp_ms, **rates})
         if now_s >= next_esc_s:
             next_esc_s += 1.0 / esc_hz
-            rpm = [round(_SPEED * speed[motor] + rng.normal(0.0, 20.0)) for motor in order]
-            amps = [current[motor] + rng.normal(0.0, 0.05) for motor in order]
-            measured = {"rpm": rpm, "voltage": [volts + rng.normal(0.0, 0.02) for _ in order], "current": amps}
+            rpm = [round(_SPEED * speed[motor] + 20.0 * normal()) for motor in order]
+            amps = [current[motor] + 0.05 * normal() for motor in order]
+            measured = {"rpm": rpm, "voltage": [volts + 0.02 * normal() for _ in order], "current": amps}
             yield _message("ESC_STATUS", arrival_ns, {"index": 0, "time_usec": stamp_ms * 1000, **measured})
         if k % 10 == 0:
-            level = 9.0 * float((working["balance"] * speed**2).max()) * np.exp(rng.normal(0.0, 0.2, 3))
-            levels = dict(zip(("vibration_x", "vibration_y", "vibration_z"), level.tolist(), strict=True))
+            level = 9.0 * max(works * w * w for works, w in zip(working["balance"], speed, strict=True))
+            levels = {f"vibration_{axis}": level * math.exp(0.2 * normal()) for axis in "xyz"}
             clipped = dict.fromkeys(("clipping_0", "clipping_1", "clipping_2"), 0)
             yield _message("VIBRATION", arrival_ns, {"time_usec": stamp_ms * 1000, **levels, **clipped})
             battery = {
                 "voltage_battery": round(1000.0 * volts + measuring.normal(0.0, 8.0)),
-                "current_battery": round(100.0 * float(current.sum()) + measuring.normal(0.0, 10.0)),
+                "current_battery": round(100.0 * sum(current) + measuring.normal(0.0, 10.0)),
                 "battery_remaining": round(100.0 - 100.0 * used_as / _CAPACITY_AS),
             }
             yield _message("SYS_STATUS", arrival_ns, battery)
         if k % RATE_HZ == 0:
             yield _message("HEARTBEAT", arrival_ns, {"type": 2, "autopilot": 12, "base_mode": 128})
             yield _message("EXTENDED_SYS_STATE", arrival_ns, {"landed_state": 2})
+
+
+def _within(value: float, low: float, high: float) -> float:
+    return low if value < low else min(value, high)
+
+
+def _dot(a: Iterable[float], b: Iterable[float]) -> float:
+    return float(sum(map(mul, a, b)))
 
 
 def _message(name: str, received_ns: int, fields: Mapping[str, object]) -> Message:
