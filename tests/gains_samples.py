@@ -3,12 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+from hypothesis import settings
 from hypothesis import strategies as st
 
 from gains.identification.simulation import Dynamics, compile_vectorised
 from gains.plants.expression import Apply, Argument, Node, Number, binary, parse_expression
 from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Nonlinearity, Plant
 
+DESIGNS = settings().max_examples // 4
+"""Examples of an invariant whose every example designs observers."""
 PRINTED = {
     "A": [[0, 1, 0, 0], [-48.6, -1.25, 48.6, 0], [0, 0, 0, 1], [19.5, 0, -19.5, 0]],
     "B": [[0], [21.6], [0], [0]],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,7 @@ class Quad:
         return self.B() * (1.0 - self.square + 2.0 * self.square * HOVER)
 
 
+@cache
 def closed_loop(
     quad: Quad, rate_hz: float, seconds: float, flights: int, seed: int, brisk: float = 1.0, turning: float = 1.0
 ) -> list[Segment]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gains_samples import PRINTED, multirotor, random_plant
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from adapters.errors import ModelError
@@ -160,7 +160,6 @@ def plants(draw: st.DrawFn) -> Plant:
         raise
 
 
-@settings(deadline=None, max_examples=60)
 @given(plants())
 def test_a_model_reads_back_equal_to_what_was_written(tmp_path_factory: pytest.TempPathFactory, plant: Plant) -> None:
     path = tmp_path_factory.mktemp("models") / "model.toml"

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gains_samples import random_plant
+from gains_samples import DESIGNS, random_plant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_gains_discretise import swung
@@ -45,7 +45,7 @@ def inverse_noise(B: FloatArray, q: int) -> FloatArray:
     return -B[:, q : 2 * q]
 
 
-@settings(deadline=None, derandomize=True, max_examples=12)
+@settings(deadline=None, derandomize=True, max_examples=DESIGNS)
 @given(st.integers(0, 10_000), st.sampled_from([(1, 0), (0, 1), (1, 1), (2, 1)]), st.integers(0, 1))
 def test_no_error_exceeds_its_bound(seed: int, faults: tuple[int, int], nonlinear: int) -> None:
     plant = random_plant(seed, *faults, nonlinear=nonlinear)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
-from gains_samples import flying_multirotor, integrator_with_drift, multirotor, random_plant, sine
+from gains_samples import DESIGNS, flying_multirotor, integrator_with_drift, multirotor, random_plant, sine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -137,7 +137,7 @@ def worst_norm(plant: Plant, design: Design, slopes: FloatArray) -> float:
     return certify(replace(plant, nonlinearities=tuple(fixed)), replace(design, multipliers=None)).norm
 
 
-@settings(deadline=None, derandomize=True, max_examples=8)
+@settings(deadline=None, derandomize=True, max_examples=DESIGNS)
 @given(st.integers(0, 10_000), st.integers(1, 3), st.sampled_from([1.0, 0.99]))
 def test_multipliers_bound_the_norm_and_the_poles_at_any_slopes(seed: int, nonlinear: int, radius: float) -> None:
     plant = random_plant(seed, 1, seed % 2, nonlinear=nonlinear)
@@ -311,7 +311,7 @@ def test_a_bound_that_counts_noise_once_is_the_gain_from_the_noise_itself(vertic
     assert twice.sqrt_mu < once.sqrt_mu < norm_against_noise_once(plant, twice)
 
 
-@settings(deadline=None, derandomize=True, max_examples=12)
+@settings(deadline=None, derandomize=True, max_examples=DESIGNS)
 @given(st.integers(0, 10_000), st.sampled_from([(1, 0), (0, 1), (1, 1), (2, 1)]), st.integers(0, 1))
 def test_noise_that_counts_once_is_bounded_by_what_it_makes_of_any_plant(
     seed: int, faults: tuple[int, int], nonlinear: int
@@ -326,7 +326,7 @@ def test_noise_that_counts_once_is_bounded_by_what_it_makes_of_any_plant(
     assert floor_sqrt_mu(plant, noise_once=True).value * (1.0 - 1e-9) <= once.sqrt_mu
 
 
-@settings(deadline=None, derandomize=True, max_examples=12)
+@settings(deadline=None, derandomize=True, max_examples=DESIGNS)
 @given(st.integers(0, 10_000), st.sampled_from([(1, 0), (0, 1), (1, 1), (2, 1)]), st.integers(0, 1))
 def test_a_free_left_inverse_is_never_worse_and_never_below_the_floor(
     seed: int, faults: tuple[int, int], nonlinear: int
@@ -343,7 +343,7 @@ def test_a_free_left_inverse_is_never_worse_and_never_below_the_floor(
 
 
 @pytest.mark.long
-@settings(deadline=None, derandomize=True, max_examples=16)
+@settings(deadline=None, derandomize=True, max_examples=DESIGNS)
 @given(
     st.integers(0, 10_000),
     st.sampled_from([(1, 0), (0, 1), (1, 1), (2, 1)]),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gains_samples import random_plant
+from gains_samples import DESIGNS, random_plant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -57,7 +57,7 @@ def test_a_certificate_is_verified_from_its_file_alone(
     assert json.loads(capsys.readouterr().out)["status"] == "verified"
 
 
-@settings(deadline=None, derandomize=True, max_examples=8)
+@settings(deadline=None, derandomize=True, max_examples=DESIGNS)
 @given(st.integers(0, 10_000), st.sampled_from([(1, 0), (0, 1), (1, 1), (2, 1)]), st.integers(0, 2))
 def test_designs_of_random_plants_are_verified(
     tmp_path_factory: pytest.TempPathFactory, seed: int, faults: tuple[int, int], nonlinear: int

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -28,6 +28,11 @@ from replay.player import play
 
 ORDER = (1, 3, 0, 2)
 """Motor, from 0, of each controller."""
+
+
+@cache
+def flown_at_10_hz() -> list[Message]:
+    return list(flight(1, 40.0, esc_hz=10.0))
 
 
 def fit(logs: list[list[Message]], folder: Path) -> FitReport:
@@ -124,7 +129,7 @@ def test_currents_that_say_nothing_are_left_out_and_speeds_that_follow_nothing_r
             replace(one, fields={**one.fields, field: (one.fields[field] * np.exp(rng.normal(0, spread, 4))).tolist()})
             if one.name == "ESC_STATUS"
             else one
-            for one in flight(1, 40.0, esc_hz=10.0)
+            for one in flown_at_10_hz()
         ]
         return FitRequest("quad", [lambda: packed(log)], (survey(packed(log)),))
 
@@ -139,7 +144,7 @@ def test_currents_that_say_nothing_are_left_out_and_speeds_that_follow_nothing_r
 def test_currents_that_never_change_are_no_measurements() -> None:
     log = [
         replace(one, fields={**one.fields, "current": [0.8] * 4}) if one.name == "ESC_STATUS" else one
-        for one in flight(1, 40.0, esc_hz=10.0)
+        for one in flown_at_10_hz()
     ]
     found = fit_esc(FitRequest("quad", [lambda: packed(log)], (survey(packed(log)),)), GateRule())
     assert found is not None
@@ -147,7 +152,7 @@ def test_currents_that_never_change_are_no_measurements() -> None:
 
 
 def test_speeds_without_a_voltage_do_not_stand_in_for_commands() -> None:
-    log = list(flight(1, 40.0, esc_hz=10.0))
+    log = flown_at_10_hz()
     known = esc_signals([survey(packed(log))], 4)
     assert known is not None
     assert known.measured

@@ -73,13 +73,14 @@ def test_a_healthy_flight_raises_nothing(profile: Profile, fitted: Fitted) -> No
 
 
 def test_without_levels_there_is_no_observer_and_zeros_are_refused() -> None:
-    log = list(packed(flight(1, 30.0, esc_hz=1.0)))
+    flown = list(flight(1, 30.0, esc_hz=1.0))
+    log = list(packed(flown))
     names = {name for batch in log for name in (columns.name for columns in batch.columns)} | {"HEARTBEAT"}
     assert fit_vibration(request([of_names(batch, names - {"VIBRATION"}) for batch in log]), GATE) is None
     zeros = dict.fromkeys(("vibration_x", "vibration_y", "vibration_z"), 0.0)
     still = (
         replace(message, fields={**message.fields, **zeros}) if message.name == "VIBRATION" else message
-        for message in flight(1, 30.0, esc_hz=1.0)
+        for message in flown
     )
     with pytest.raises(ModelError, match="each level is zero"):
         fit_vibration(request(list(packed(still))), GATE)
