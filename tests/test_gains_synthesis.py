@@ -54,8 +54,9 @@ def test_the_disturbed_arm_at_100_hz_is_certified_at_its_optimum_with_moderate_g
     assert design.notes == ()
 
 
+# the disturbed arm at both ends is proven in the next test, too
 @pytest.mark.parametrize("rate", some([10.0, 50.0, 200.0, 1000.0], 10.0, 1000.0))
-@pytest.mark.parametrize("name", ["arm", "arm-disturbed"])
+@pytest.mark.parametrize("name", some(["arm", "arm-disturbed"], "arm"))
 def test_the_arm_is_certified_from_10_hz_to_1_khz(name: str, rate: float) -> None:
     plant = builtin_model(name)
     assert_proven(plant, design_convex(plant, rate))
@@ -66,7 +67,7 @@ def test_the_arm_is_certified_from_10_hz_to_1_khz(name: str, rate: float) -> Non
     [
         (0.001, 0.155),
         pytest.param(0.01, 0.141, marks=LONG),
-        (0.02, 0.141),
+        pytest.param(0.02, 0.141, marks=LONG),
         pytest.param(0.05, 0.141, marks=LONG),
         (0.1, 0.150),
     ],
@@ -119,7 +120,7 @@ def test_a_multirotor_of_12_states_and_4_motors_with_3_slopes_is_certified_at_ea
     assert (at_vertices.proof, at_vertices.slopes) == ("vertices", 8)
 
 
-@pytest.mark.parametrize("seed", some(range(4), 0, 1))
+@pytest.mark.parametrize("seed", some(range(4), 1))
 def test_multipliers_give_proven_gains_close_to_those_of_the_vertices(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,7 +181,7 @@ def test_without_slopes_there_is_nothing_to_be_free_of() -> None:
         # at 0.8 gains of the same mu are to be had, and which is less by 1e-4 depends on the processor
         pytest.param("arm", 10.0, 0.4, marks=LONG),
         ("arm-disturbed", 100.0, 0.2),
-        ("arm-disturbed", 1000.0, 0.2),
+        pytest.param("arm-disturbed", 1000.0, 0.2, marks=LONG),
         pytest.param("arm", 100.0, 0.2, marks=LONG),
         pytest.param("arm", 1000.0, 0.2, marks=LONG),
         pytest.param("arm-disturbed", 10.0, 0.8, marks=LONG),
@@ -202,7 +203,7 @@ def test_a_bound_that_the_best_gains_keep_changes_nothing() -> None:
     assert design_convex(plant, 100.0, gain_bound=1.01 * free.gains.gain_max_abs).mu == free.mu
 
 
-@pytest.mark.parametrize("seed", some(range(6), 0, 1, 2))
+@pytest.mark.parametrize("seed", some(range(6), 0, 1))
 def test_gains_of_random_plants_are_within_their_bound_or_said_not_to_be(seed: int) -> None:
     plant = random_plant(seed, 1, seed % 2, nonlinear=seed % 3)
     bound = 0.7 * design_convex(plant).gains.gain_max_abs
@@ -442,7 +443,7 @@ def test_the_bound_is_nearly_attained_by_the_worst_steady_disturbance_of_the_arm
     assert error <= design.mu * into
 
 
-@pytest.mark.parametrize("radius", [0.98, 0.9, 0.8])
+@pytest.mark.parametrize("radius", some([0.98, 0.9, 0.8], 0.98, 0.8))
 def test_a_pole_radius_is_kept_at_every_vertex(radius: float) -> None:
     plant = builtin_model("arm-disturbed")
     design = design_convex(plant, 100.0, pole_radius=radius)

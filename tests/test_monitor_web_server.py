@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import http.client
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -18,6 +17,7 @@ import pytest
 from fleet_publisher import SimulatedMonitor
 from loopback import Endpoint, free_port, shown_from_now_on, until
 
+import fauio
 from adapters.errors import UsageError
 from monitor.console.web_server import ConsoleOptions, ConsoleServer
 
@@ -228,13 +228,19 @@ def test_a_port_that_is_taken_is_said(endpoint: Endpoint, site: Any) -> None:
         (["--prefix", "a b"], "prefix"),
     ],
 )
-def test_a_mistake_is_one_line(tmp_path: Path, options: list[str], words: str) -> None:
-    (tmp_path / "short").write_text("abc\n")
-    command = [sys.executable, "-m", "fauio", "console", "--connect", "tcp/127.0.0.1:1", *options]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert words in done.stderr
+def test_a_mistake_is_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("short").write_text("abc\n")
+    assert fauio.main(["console", "--connect", "tcp/127.0.0.1:1", *options]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert words in said
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
