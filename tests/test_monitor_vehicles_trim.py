@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ DAMPING = np.array([0.8, 0.8, 0.5])
 """Rates decay with, 1/s."""
 LAG_S = 0.05
 HOVER = 0.5
+QUAD = next(iter(standard_frames(4)))
 FRAMES = [frame for motors in (4, 6, 8) for frame in standard_frames(motors)]
 
 
@@ -55,6 +57,10 @@ def fly(
         torque = frame.effects @ thrust / motors + gust
         rate = rate + (AUTHORITY * torque - DAMPING * rate) * STEP_S
     return u, y
+
+
+flight = cache(partial(fly, QUAD))
+"""What a quadrotor's flight gives, flown once for all tests."""
 
 
 def slow(u: NDArray[np.float64], y: NDArray[np.float64], hz: float, commands_hz: float) -> Segment:
@@ -125,9 +131,8 @@ def test_motion_that_follows_no_frame_tells_none() -> None:
 
 @pytest.mark.parametrize(("commands_hz", "hz"), [(10.0, 5.0), (10.0, 3.33), (2.0, 1.0)])
 def test_the_trim_shows_how_large_a_lost_share_is(commands_hz: float, hz: float) -> None:
-    frame = next(iter(standard_frames(4)))
-    fit = identify_trim([slow(*fly(frame, 120.0), hz, commands_hz)], hz, frame)
-    faulty = slow(*fly(frame, 40.0, lost=(0.0, 0.15, 0.0, 0.0), seed=2), hz, commands_hz)
+    fit = identify_trim([slow(*flight(120.0), hz, commands_hz)], hz, QUAD)
+    faulty = slow(*flight(40.0, lost=(0.0, 0.15, 0.0, 0.0), seed=2), hz, commands_hz)
     v = fit.taps[0] * faulty.u[1:-1] + (1.0 - fit.taps[0]) * faulty.u[:-2]
     missing = faulty.y[2:, :2] - fit.a[:2] * faulty.y[1:-1, :2] - v @ fit.B[:2].T - fit.c[:2]
     lost = np.linalg.lstsq(-fit.B[:2, [1]], missing.mean(axis=0), rcond=None)[0][0]
@@ -135,11 +140,9 @@ def test_the_trim_shows_how_large_a_lost_share_is(commands_hz: float, hz: float)
 
 
 def test_a_seconds_mean_shows_a_lost_share_through_noise_that_hides_it_from_a_fifth_of_a_seconds() -> None:
-    frame = next(iter(standard_frames(4)))
-
     def scatter(hz: float) -> float:
-        flown = slow(*fly(frame, 240.0, noise=0.3), hz, 100.0)
-        fit = identify_trim([flown], hz, frame)
+        flown = slow(*flight(240.0, noise=0.3), hz, 100.0)
+        fit = identify_trim([flown], hz, QUAD)
         v = fit.taps[0] * flown.u[1:-1] + (1.0 - fit.taps[0]) * flown.u[:-2]
         missing = flown.y[2:, :2] - fit.a[:2] * flown.y[1:-1, :2] - v @ fit.B[:2].T - fit.c[:2]
         lost = np.linalg.lstsq(-fit.B[:2, [1]], missing.T, rcond=None)[0][0]
@@ -149,26 +152,22 @@ def test_a_seconds_mean_shows_a_lost_share_through_noise_that_hides_it_from_a_fi
 
 
 def test_the_torque_of_a_turn_is_learned_where_one_was_flown() -> None:
-    frame = next(iter(standard_frames(4)))
-    fit = identify_trim([slow(*fly(frame, 120.0), 5.0, 10.0)], 5.0, frame)
+    fit = identify_trim([slow(*flight(120.0), 5.0, 10.0)], 5.0, QUAD)
     assert fit.B[2, 0] * 4.0 * 5.0 == pytest.approx(AUTHORITY[2], rel=0.1)
     assert fit.a[2] == pytest.approx(np.exp(-DAMPING[2] / 5.0), abs=0.05)
 
 
 def test_hovering_without_a_turn_leaves_yaw_out() -> None:
-    frame = next(iter(standard_frames(4)))
-    fit = identify_trim([slow(*fly(frame, 120.0, turns=0.0), 5.0, 10.0)], 5.0, frame)
+    fit = identify_trim([slow(*flight(120.0, turns=0.0), 5.0, 10.0)], 5.0, QUAD)
     assert fit.B.shape == (2, 4) and len(fit.a) == 2
 
 
 def test_too_short_a_flight_is_refused() -> None:
-    frame = next(iter(standard_frames(4)))
     with pytest.raises(ModelError, match=r"only 1. s of healthy flight"):
-        identify_trim([slow(*fly(frame, 15.0), 5.0, 10.0)], 5.0, frame)
+        identify_trim([slow(*flight(15.0), 5.0, 10.0)], 5.0, QUAD)
 
 
 def test_the_slower_the_commands_the_larger_the_smallest_loss_and_the_longer_evidence_has_to_last() -> None:
-    frame = next(iter(standard_frames(4)))
-    brisk, hover = (slow(*fly(frame, 60.0, turns=turns), 5.0, 10.0) for turns in (1.5, 0.0))
+    brisk, hover = (slow(*flight(60.0, turns=turns), 5.0, 10.0) for turns in (1.5, 0.0))
     assert smallest_loss([brisk], 5.0) < smallest_loss([hover], 5.0) < smallest_loss([hover], 0.2)
     assert slow_times(0.5).raise_s == 10 * slow_times(5.0).raise_s
