@@ -4,11 +4,13 @@ import fcntl
 import gc
 import os
 import signal
+import socket
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from loopback import Endpoint, free_port
 
 from monitor.profile import Profile, read_profile
 
@@ -89,6 +91,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     place = {name: float(k) for k, name in enumerate(others)}
     place |= {name: 0.5 * len(others) * k / len(waiting) - 0.5 for k, name in enumerate(waiting)}
     items.sort(key=lambda item: (place[item.path.name], item.path.name))
+
+
+@pytest.fixture
+def endpoint() -> Iterator[Endpoint]:
+    """Return a monitor's session, and what clients need to connect to it."""
+    made = Endpoint()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def port() -> int:
+    """Return a UDP port of loopback that nobody listens on."""
+    return free_port(socket.SOCK_DGRAM)
 
 
 @pytest.fixture(scope="session")

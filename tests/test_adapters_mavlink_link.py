@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from loopback import free_port
 from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.batch import messages as each
@@ -41,12 +42,6 @@ def packet(
         sender.signing.timestamp = unix_stamp(time.time_ns()) if stamp is None else stamp
     message = ardupilotmega.MAVLink_attitude_message(sequence, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
     return bytes(message.pack(sender, force_mavlink1=version_1))
-
-
-def free_port(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def collect(link: MavlinkLink, count: int) -> list[Message]:
@@ -127,7 +122,7 @@ def test_many_senders_cost_bounded_memory() -> None:
 
 
 def test_a_tcp_server_that_comes_late_and_goes_away_is_connected_to_again() -> None:
-    port = free_port(socket.SOCK_STREAM)
+    port = free_port()
     with MavlinkLink(f"tcp:127.0.0.1:{port}") as link:
         assert [*each(link.receive(0.05))] == []
         for attempt in (1, 2):
@@ -148,7 +143,7 @@ def test_a_tcp_server_that_comes_late_and_goes_away_is_connected_to_again() -> N
 
 
 def test_a_tcp_client_may_come_again_and_the_newest_is_heard() -> None:
-    port = free_port(socket.SOCK_STREAM)
+    port = free_port()
     with MavlinkLink(f"tcpin:127.0.0.1:{port}") as link:
         with socket.create_connection(("127.0.0.1", port)) as client:
             client.sendall(packet(1))

@@ -13,13 +13,6 @@ from adapters.mavlink.message_rates import RateRequests
 PATIENCE_S = 20.0
 
 
-@pytest.fixture
-def port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 class Vehicle:
     """An autopilot that sends heartbeats, and attitudes at a low rate, and remembers what it is asked."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 import threading
@@ -20,13 +19,6 @@ from replay.demonstration.demo import _copter_scene
 
 ROOT = Path(__file__).parent.parent
 FLIGHT = ROOT / "tests" / "data" / "copter_5s.tlog.xz"
-
-
-@pytest.fixture
-def port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def contents(messages: list[Message]) -> list[tuple[str, int, str]]:

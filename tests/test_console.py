@@ -41,13 +41,6 @@ def browser() -> Iterator[webdriver.Chrome]:
 
 
 @pytest.fixture
-def endpoint() -> Iterator[Endpoint]:
-    made = Endpoint()
-    yield made
-    made.close()
-
-
-@pytest.fixture
 def monitor(endpoint: Endpoint) -> Iterator[SimulatedMonitor]:
     made = SimulatedMonitor(endpoint.session, "quad-1", allow=("ack", "shelve", "unshelve", "reset"))
     yield made

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from loopback import free_port
 
 import fauio
 from adapters.logs.recordings import read_recording
@@ -26,12 +27,6 @@ from replay.player import play
 
 FAUIO = (sys.executable, "-m", "fauio")
 PATIENCE_S = 60.0
-
-
-def free_port(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def until(condition: Callable[[], Any]) -> Any:
@@ -49,8 +44,8 @@ class RunningDaemon:
         self.folder = folder
         self.senders: list[subprocess.Popen[bytes]] = []
         self.udp = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
-        self.endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
-        self.metrics = f"127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.metrics = f"127.0.0.1:{free_port()}"
         self.config = folder / "fauio.toml"
         self.write_config(profile, extra)
         command = [*FAUIO, "run", "--config", str(self.config), "--json"]

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from loopback import free_port
 
 import fauio
 from adapters.logs.recordings import read_recording
@@ -35,16 +36,10 @@ class Live(NamedTuple):
     record: Path
 
 
-def free_port(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @pytest.fixture
 def live(quad_folder: Path, tmp_path: Path) -> Iterator[Live]:
     udp = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
-    endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     record = tmp_path / "live.mcap"
     command = [*FAUIO, "run", str(quad_folder), "--mavlink", f"udpin:{udp}", "--listen", endpoint]
     process = subprocess.Popen(
@@ -181,7 +176,7 @@ def test_a_start_that_fails_says_why_and_nothing_of_monitoring(
         station.bind(("127.0.0.1", 0))
         udp = f"udpin:127.0.0.1:{station.getsockname()[1]}"
         before = signal.getsignal(signal.SIGHUP)
-        listen = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+        listen = f"tcp/127.0.0.1:{free_port()}"
         assert fauio.main(["run", str(quad_folder), "--mavlink", udp, "--listen", listen]) == 2
         [line] = capsys.readouterr().err.splitlines()
         assert "in use" in line
@@ -194,7 +189,7 @@ def test_a_start_that_fails_says_why_and_nothing_of_monitoring(
 def test_what_it_says_at_the_start_is_true_and_at_the_end_complete(
     quad_folder: Path, data: Path, tmp_path: Path
 ) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     (tmp_path / "zenoh.json5").write_text(f'{{listen: {{endpoints: ["{endpoint}"]}}}}')
     udp = free_port(socket.SOCK_DGRAM)
     record, journal = tmp_path / "new/flight.mcap", tmp_path / "other/journal.db"
@@ -245,7 +240,7 @@ path = "{journal}"
 def test_a_wrong_argument_gets_one_line_and_status_2(
     arguments: list[str], complaint: str, quad_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    known = {"{quad}": str(quad_folder), "{port}": str(free_port(socket.SOCK_STREAM))}
+    known = {"{quad}": str(quad_folder), "{port}": str(free_port())}
     command = []
     for argument in arguments:
         for name, value in known.items():
@@ -275,7 +270,7 @@ def test_an_arm_on_zenoh_is_watched_like_one_on_mavlink(arm_profile: Profile, tm
         text = text.replace(f'"data[{k}]"', f'"{field}"')
     lines = [line for line in text.splitlines() if ".where]" not in line and 'name = "arm"' not in line]
     (folder / "profile.toml").write_text("\n".join(['name = "arm"', *lines]))
-    endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     command = [*FAUIO, "run", str(folder), "--zenoh", "arm/telemetry", "--listen", endpoint]
     daemon = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     session = open_session(connect=[endpoint])

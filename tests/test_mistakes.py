@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import pytest
 from desks import lay_out, lay_out_mistakes
+from loopback import free_port
 
 import fauio
 
@@ -56,12 +57,6 @@ def taken() -> Iterator[str]:
         yield str(other.getsockname()[1])
 
 
-def free_port() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return str(probe.getsockname()[1])
-
-
 def refusal(capsys: pytest.CaptureFixture[str], command: str) -> tuple[int, str]:
     """Return status and the line on stderr of a command; nothing may stand on stdout."""
     capsys.readouterr()
@@ -89,7 +84,7 @@ def test_the_page_lists_at_least_twenty_mistakes_of_commands_and_some_of_each_fi
 
 @pytest.mark.parametrize("row", COMMANDS, ids=lambda row: row.given)
 def test_a_wrong_command_says_in_one_line_what_to_do(row: Row, taken: str, capsys: pytest.CaptureFixture[str]) -> None:
-    port = free_port()
+    port = str(free_port())
     given, says = (text.replace("14550", taken).replace("7447", port) for text in row)
     if given.startswith("fauio run quad"):
         given += f" --listen tcp/127.0.0.1:{port}"

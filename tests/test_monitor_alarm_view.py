@@ -79,13 +79,6 @@ def _last_picture(plain: str) -> str:
 
 
 @pytest.fixture
-def endpoint() -> Iterator[Endpoint]:
-    found = Endpoint()
-    yield found
-    found.close()
-
-
-@pytest.fixture
 def screen(endpoint: Endpoint) -> Iterator[Screen]:
     found = Screen(endpoint)
     yield found

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
@@ -21,13 +20,6 @@ from monitor.bus.publisher import Publisher
 from monitor.event import AlarmEvent, event_from_json
 
 ROOT = Path(__file__).parent.parent
-
-
-@pytest.fixture
-def endpoint() -> Iterator[Endpoint]:
-    found = Endpoint()
-    yield found
-    found.close()
 
 
 def alarms(endpoint: Endpoint, *options: str) -> subprocess.Popen[str]:

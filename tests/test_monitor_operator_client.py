@@ -28,13 +28,6 @@ ULID = "01J0000000000000000000ABCD"
 ACKNOWLEDGED = event(2, state="acknowledged", acknowledged=True)
 
 
-@pytest.fixture
-def endpoint() -> Iterator[Endpoint]:
-    found = Endpoint()
-    yield found
-    found.close()
-
-
 class Monitor:
     """The side of a monitor that answers commands, and what it was asked."""
 

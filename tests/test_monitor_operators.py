@@ -1,7 +1,6 @@
 """Operators' commands through real Zenoh sessions: carried out, refused with a reason, never a crash."""
 
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -13,13 +12,6 @@ from monitor.bus.operators import Operators
 
 ROOT = "fauio/copter-1"
 MINUTE_NS = 60_000_000_000
-
-
-@pytest.fixture
-def endpoint() -> Iterator[Endpoint]:
-    found = Endpoint()
-    yield found
-    found.close()
 
 
 class Client:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -37,13 +36,6 @@ def estimates(index: int, time_ns: int | None = None) -> Estimates:
         sd=np.array([[0.1, 0.2]]),
         coasted_s=np.zeros(1),
     )
-
-
-@pytest.fixture
-def endpoint() -> Iterator[Endpoint]:
-    found = Endpoint()
-    yield found
-    found.close()
 
 
 @pytest.fixture

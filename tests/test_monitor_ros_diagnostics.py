@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import queue
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -123,13 +122,6 @@ def test_the_hash_is_that_of_the_type_by_rep_2011() -> None:
     ]
     description = json.dumps({"type_description": array, "referenced_type_descriptions": others})
     assert f"RIHS01_{hashlib.sha256(description.encode()).hexdigest()}" == TYPE_HASH
-
-
-@pytest.fixture
-def endpoint() -> Iterator[Endpoint]:
-    found = Endpoint()
-    yield found
-    found.close()
 
 
 def test_a_subscriber_of_rmw_zenoh_gets_it_with_number_time_and_sender(endpoint: Endpoint) -> None:

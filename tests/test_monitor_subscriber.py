@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -15,13 +14,6 @@ from monitor.bus.subscriber import HELD_EVENTS, AlarmSubscriber
 from monitor.event import AlarmEvent, valid_event
 
 KEY = "fauio/copter-1/alarm/motors/motor1"
-
-
-@pytest.fixture
-def endpoint() -> Iterator[Endpoint]:
-    found = Endpoint()
-    yield found
-    found.close()
 
 
 def take(subscriber: AlarmSubscriber, count: int) -> list[AlarmEvent]:

@@ -28,13 +28,6 @@ SECRET = bytes(range(32))
 
 
 @pytest.fixture
-def endpoint() -> Iterator[Endpoint]:
-    one = Endpoint()
-    yield one
-    one.close()
-
-
-@pytest.fixture
 def service(endpoint: Endpoint, arm_profile: Profile, tmp_path: Path) -> Iterator[VehicleService]:
     key = tmp_path / "standby.key"
     key.write_text(SECRET.hex())

@@ -26,13 +26,6 @@ TOKEN = "0123456789abcdef"  # noqa: S105 - of no console but this one
 
 
 @pytest.fixture
-def endpoint() -> Iterator[Endpoint]:
-    made = Endpoint()
-    yield made
-    made.close()
-
-
-@pytest.fixture
 def monitor(endpoint: Endpoint) -> Iterator[SimulatedMonitor]:
     made = SimulatedMonitor(endpoint.session, "quad-1", allow=("ack",))
     yield made

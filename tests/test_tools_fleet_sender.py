@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -30,13 +29,6 @@ ROOT = Path(__file__).parent.parent
 FLIGHT = ROOT / "tests" / "data" / "copter_5s.tlog.xz"
 MOTOR = ROOT / "tests" / "data" / "copter_motor3_090.tlog.xz"
 KEY = SigningKey(bytes(range(32)))
-
-
-@pytest.fixture
-def port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def contents(messages: list[Message]) -> list[tuple[str, str]]:
