@@ -26,13 +26,13 @@ import numpy as np
 from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import LARGEST_VERTEX_COUNT, Augmentation, ErrorModel, augment, error_model, varying_slopes
 from gains.analysis.estimability import check_existence
+from gains.analysis.hinf import hinf_norm
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bounded_real import Demands, Inequality, Solution, inequality, solve_bounded_real, user_design
 from gains.synthesis.certificate import certify
-from gains.synthesis.conditioning import Coordinates, kalman_coordinates
+from gains.synthesis.conditioning import Coordinates, doubled, kalman_coordinates
 from gains.synthesis.design import Design, ObserverMatrices, observer_matrices
-from gains.synthesis.riccati import riccati_proofs
 
 GAIN_WEIGHT = 1e-3
 """Price of the gains. Measured on the disturbed arm at 100 Hz: sqrt(mu) is .2 % above the least (.14034, .14009) with
@@ -53,6 +53,13 @@ Measured with gains bounded by 5: without, none are found for the arm.
 _LOOSENESS = (4.0, 1.5, 0.7, 0.35)
 """The condition of the gains asks for more than their bound needs: the loosest that keeps them within comes first.
 Measured on the arm, bounds of 5 and 1: sqrt(mu) is .072 and .36 with these, .086 and .54 with 1 alone.
+"""
+
+_MARGINS = (1e-3, 1e-2, 1e-1)
+"""By how much the bound lies above the norm, tried in turn until the certificate holds: what a design loses by it."""
+_INSIDE = 1e-2
+"""eps, as a share of a margin and of the size of C^T C. Chosen: smaller leaves less room for rounding, larger moves the
+bound by more than its margin.
 """
 
 
@@ -249,7 +256,7 @@ def _by_riccati(search: _Search, asked: Demands) -> Design | None:
     """Return a certified filter for a linear plant on which the solver stopped short; None where it proves nothing."""
     plant, augmentation, model = search.plant, search.augmentation, search.model
     nz = len(augmentation.L1)
-    for injection, L_p, P, mu in riccati_proofs(model, kalman_coordinates(model, asked.pole_radius)):
+    for injection, L_p, P, mu in _riccati_proofs(model, kalman_coordinates(model, asked.pole_radius)):
         gains = injection - model.into @ L_p
         design = Design(
             method="convex",
@@ -264,6 +271,42 @@ def _by_riccati(search: _Search, asked: Demands) -> Design | None:
         if design.gains.gain_max_abs <= asked.gain_bound and certify(plant, design).holds:
             return design
     return None
+
+
+def _riccati_proofs(
+    model: ErrorModel, coordinates: Coordinates
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, float]]:
+    """Yield [Kb; L_i], L_p, P and mu in users' units for a linear discrete error system, the least mu first.
+
+    Where numbers lie far apart the solver of matrix inequalities can stop short although gains exist. A Kalman filter
+    exists whenever the plant is detectable, and its coordinates are those in which its own error is of size one. In
+    them the least storage function for a bound gamma above the norm of the closed error system solves
+
+        P = A^T P A + C^T C + eps I + (A^T P B + C^T D) (gamma^2 I - D^T D - B^T P B)^-1 (A^T P B + C^T D)^T
+
+    and eps > 0 puts it inside the inequality of the certificate, which decides. The bound is that of these gains, not
+    the least there is.
+    """
+    S, a1 = coordinates.S, model.a1
+    inverse = np.linalg.inv(S)
+    injection, L_p = coordinates.gain, coordinates.direct[len(model.weights) - a1 : len(model.weights)]
+    C, D = model.output(L_p)
+    A, B, C = inverse @ (model.mean - injection @ model.C) @ S, inverse @ (model.B - injection @ model.D), C @ S
+    norm = hinf_norm(A, B, C, D, discrete=True).upper
+    if not 0.0 < norm < np.inf:
+        return
+    C, D = C / norm, D / norm
+    for margin in _MARGINS:
+        Q = C.T @ C + _INSIDE * margin * np.linalg.norm(C, 2) ** 2 * np.eye(len(A))
+        R, cross = D.T @ D - (1.0 + margin) ** 2 * np.eye(B.shape[1]), C.T @ D
+        try:
+            solved = np.linalg.solve(R, np.hstack([cross.T, B.T]))
+            left, right = solved[:, : len(A)], solved[:, len(A) :]
+            P = doubled(A - B @ left, B @ right, Q - cross @ left)
+        except np.linalg.LinAlgError:
+            continue
+        P = norm**2 * inverse.T @ P @ inverse
+        yield injection, L_p, 0.5 * (P + P.T), (norm * (1.0 + margin) * (1.0 + 1e-6)) ** 2
 
 
 def _solutions(problem: Inequality) -> Iterator[tuple[Solution, float]]:

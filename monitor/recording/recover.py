@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,21 +42,26 @@ def finish_all(folder: Path, say: Callable[..., None]) -> threading.Thread:
 
 
 def _finish_all(folder: Path, say: Callable[..., None], begun_s: float) -> None:
-    from adapters.logs.mcap_recovery import finish
-
     try:
-        for path in unfinished(folder):
-            if path.stat().st_mtime >= begun_s:
-                continue
-            try:
-                done = finish(path)
-            except FauioError as error:
-                say("recording unfinished", level="warning", reason=str(error))
+        for done in _finished(path for path in unfinished(folder) if path.stat().st_mtime < begun_s):
+            if isinstance(done, FauioError):
+                say("recording unfinished", level="warning", reason=str(done))
             else:
-                if done is not None:
-                    say("recording finished", path=str(path), messages=done.messages, cut_bytes=done.cut_bytes)
+                say("recording finished", path=str(done.path), messages=done.messages, cut_bytes=done.cut_bytes)
     except (FauioError, OSError) as error:
         say("recording unfinished", level="warning", reason=str(error))
+
+
+def _finished(paths: Iterable[Path]) -> Iterator[Recovery | FauioError]:
+    """Finish files; yield what finishing each did, or why it could not be."""
+    from adapters.logs.mcap_recovery import finish
+
+    for path in paths:
+        try:
+            if (done := finish(path)) is not None:
+                yield done
+        except FauioError as error:
+            yield error
 
 
 def add_recover(subparsers: Any) -> None:
@@ -91,20 +96,12 @@ def _check_is_recording(place: Path) -> None:
 
 def run_recover(args: argparse.Namespace) -> int:
     """Finish the files; status 2 where some could not be."""
-    from adapters.logs.mcap_recovery import finish
-
     if not args.place.exists():
         raise UsageError(f"{args.place}: no such file or folder")
     _check_is_recording(args.place)
-    finished: list[Recovery] = []
-    mistakes: list[str] = []
-    for path in unfinished(args.place):
-        try:
-            done = finish(path)
-        except FauioError as error:
-            mistakes.append(str(error))
-        else:
-            finished += [] if done is None else [done]
+    done = list(_finished(unfinished(args.place)))
+    mistakes = [str(error) for error in done if isinstance(error, FauioError)]
+    finished = [recording for recording in done if not isinstance(recording, FauioError)]
     if args.json:
         rows = [asdict(recording) | {"path": str(recording.path)} for recording in finished]
         say_json({"finished": rows, "not_finished": mistakes})

@@ -150,13 +150,12 @@ def _truth(log: Path, sender: Senders, faults: list[dict[str, Any]]) -> dict[str
 
 
 def _earlier(log: Path) -> list[dict[str, Any]]:
-    """Return the faults that are known to be in a recording already."""
+    """Return the faults that are known to be in an MCAP file already; raise TelemetryError where they are damaged."""
     text = read_mcap_metadata(log).get(TRUTH, {}).get("json")
     try:
-        faults = json.loads(text)["faults"] if text else []
+        return list(json.loads(text)["faults"]) if text else []
     except (ValueError, KeyError, TypeError) as error:
         raise TelemetryError(f"{log}: its record of what was injected before is damaged: {error}") from error
-    return list(faults)
 
 
 Courses = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
@@ -191,10 +190,9 @@ def _faults(log: Path) -> list[Mapping[str, Any]]:
     if log.is_dir() or recording_kind(log) != "mcap":
         return []
     try:
-        faults = json.loads(read_mcap_metadata(log)[TRUTH]["json"])["faults"]
-    except (KeyError, TypeError, ValueError):
+        return [fault for fault in _earlier(log) if isinstance(fault, dict)]
+    except TelemetryError:
         return []
-    return [fault for fault in faults if isinstance(fault, dict)] if isinstance(faults, list) else []
 
 
 def _course(fault: Mapping[str, Any], channel: str, trace: Trace) -> NDArray[np.float64] | None:

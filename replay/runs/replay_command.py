@@ -163,32 +163,19 @@ def _tasks(args: argparse.Namespace, logs: Sequence[LogFile]) -> list[LogTask]:
     many = len(logs) > 1 or logs[0].path != args.logs[0]
     tasks = []
     for log in logs:
-        record = target("-o", args.out, log, ".mcap", many=many)
-        plot = target("--plot", args.plot, log, ".png", many=many)
-        rrd = target("--rrd", args.rrd, log, ".rrd", many=many)
-        report = target("--report", args.report, log, ".html", many=many)
-        path, mapping, folder = log.path, args.mapping, args.profile
+        files = {
+            "path": log.path,
+            "record": target("-o", args.out, log, ".mcap", many=many),
+            "plot": target("--plot", args.plot, log, ".png", many=many),
+            "rrd": target("--rrd", args.rrd, log, ".rrd", many=many),
+            "report": target("--report", args.report, log, ".html", many=many),
+            "mapping": args.mapping,
+            "folder": args.profile,
+        }
         if args.dask is not None:
             # workers have another working directory
-            path, folder = path.absolute(), folder.absolute()
-            record, plot, rrd, report, mapping = (
-                path and path.absolute() for path in (record, plot, rrd, report, mapping)
-            )
-        tasks.append(
-            LogTask(
-                log=str(log.path),
-                path=path,
-                vehicle=args.vehicle,
-                record=record,
-                plot=plot,
-                rrd=rrd,
-                report=report,
-                dark=args.dark,
-                mapping=mapping,
-                folder=folder,
-                force=args.force,
-            )
-        )
+            files = {name: path and path.absolute() for name, path in files.items()}
+        tasks.append(LogTask(log=str(log.path), vehicle=args.vehicle, dark=args.dark, force=args.force, **files))
     targets = [path for task in tasks for path in task.targets]
     outputs = [*targets, *(path for path in (args.alarms, args.table) if path is not None)]
     options = "-o, --plot, --rrd, --report, --alarms or --table"
