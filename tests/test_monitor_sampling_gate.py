@@ -83,6 +83,36 @@ def test_the_mean_command_tells_where_the_landed_state_is_not_reported() -> None
     assert admitted(rule, samples, (phase(), 8)) == [False] * 2 + [True] * 6
 
 
+def test_a_command_of_zero_asks_for_none() -> None:
+    # raw signals, with a field of -0.5 gauss among them, are no commands
+    assert admitted(GateRule(settle_s=0.0), commanded(-0.5), (phase(landed=None), 1)) == [True]
+
+
+@pytest.mark.parametrize("above_mm", [-1500, 0, 1900])
+def test_a_vehicle_that_says_nothing_is_not_watched_at_the_height_of_its_home(above_mm: int) -> None:
+    plane, copter = GateRule(settle_s=0.0), GateRule(settle_s=0.0, airborne_command=0.3)
+    for landed, rule, counts in ((None, plane, False), (None, copter, True), (2, plane, True)):
+        known = phase(landed=landed)
+        known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", 0, {"relative_alt": above_mm}, 1, 1))
+        assert admitted(rule, commanded(0.5), (known, 1)) == [counts]
+
+
+@pytest.mark.parametrize("above_mm", [-2500, 2500])
+def test_elsewhere_it_is(above_mm: int) -> None:
+    known = phase(landed=None)
+    known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", 0, {"relative_alt": 0}, 1, 1))
+    known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", 1, {"relative_alt": above_mm}, 1, 1))
+    assert admitted(GateRule(settle_s=0.0), commanded(0.5), (known, 1)) == [True]
+
+
+def test_a_height_that_is_not_sent_any_more_holds_for_three_seconds() -> None:
+    known = phase(landed=None)
+    known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", 0, {"relative_alt": 0}, 1, 1))
+    for seconds, near in ((2, True), (4, False)):
+        known.feed(Message(MAVLINK, "HEARTBEAT", seconds * 10**9, {"base_mode": 128, "type": 1, "autopilot": 3}, 1, 1))
+        assert known.near_home is near
+
+
 def test_inputs_that_are_no_commands_say_nothing_about_the_air() -> None:
     gate = FlightGate(GateRule(settle_s=0.0, airborne_command=0.3))
     assert gate.admitted(phase(landed=None), commanded(0.1), commands=False).tolist() == [True]

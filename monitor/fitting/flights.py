@@ -131,11 +131,16 @@ def _by_phase(batches: Iterable[Batch]) -> Iterator[tuple[Batch, FlightPhase]]:
         start, current = 0, copy(phase)
         for index, message in phase_reports(batch):
             phase.feed(message)
-            if (phase.armed, phase.landed, phase.airborne) != (current.armed, current.landed, current.airborne):
+            if _matters(phase) != _matters(current):
                 if index > start:
                     yield cut(batch, start, index), current
                 start, current = index, copy(phase)
         yield cut(batch, start, batch.count), current
+
+
+def _matters(phase: FlightPhase) -> tuple[object, ...]:
+    """Return what decides which samples are evidence of a flight that is known to be healthy."""
+    return phase.armed, phase.landed, phase.airborne, phase.near_home
 
 
 def phase_reports(batch: Batch) -> list[tuple[int, Message]]:

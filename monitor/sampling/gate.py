@@ -2,9 +2,10 @@
 
 Rules, in order: a vehicle known to be disarmed is not watched; where the vehicle reports its landed state, only
 "in the air" counts, and "landing" while it is still high; where it does not, a mean command of at least
-``airborne_command`` takes its place. Each time the rules come to hold, ``settle_s`` of vehicle time passes before
-evidence counts. When the reported flight phase comes to allow evidence, the samples restart: the estimates made on the
-ground, before the first fix of the GPS or while the vehicle was carried about, are forgotten.
+``airborne_command`` takes its place; if that is zero, a height that is not its home's. Each time the rules come to
+hold, ``settle_s`` of vehicle time passes before evidence counts. When the reported flight phase comes to allow
+evidence, the samples restart: the estimates made on the ground, before the first fix of the GPS or while the vehicle
+was carried about, are forgotten.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class GateRule:
     require_armed: bool = True  # which of the rules apply
     require_airborne: bool = True
     settle_s: float = 1.0  # wait after they come to hold, seconds
-    # mean command above which a vehicle that does not report its landed state is taken to be in the air
+    # mean command from which a vehicle that does not report its landed state is taken to be in the air; 0: at any
     airborne_command: float = 0.0
 
 
@@ -90,7 +91,7 @@ class FlightGate:
         Without ``commands`` the inputs are no commands, so their mean does not tell that the vehicle flies.
         """
         rule = self._rule
-        by_command = rule.require_airborne and phase.landed is None and commands
+        by_command = rule.require_airborne and rule.airborne_command > 0.0 and phase.landed is None and commands
         self.by_command |= by_command
         if self._driven is not None and self._driven >= 0 and commands and rule.airborne_command > 0.0:
             flight = samples.u.mean(axis=1) >= rule.airborne_command
@@ -183,5 +184,7 @@ class GatedSampler:
 def allows(rule: GateRule, phase: FlightPhase) -> bool:
     """Return whether the reported flight phase allows evidence; unknown states do not block, another vehicle does."""
     if phase.contradiction is not None or (rule.require_armed and phase.armed is False):
+        return False
+    if rule.require_airborne and rule.airborne_command == 0.0 and phase.near_home:
         return False
     return not rule.require_airborne or phase.airborne is not False

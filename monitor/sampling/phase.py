@@ -8,7 +8,8 @@ change of any kind. Then the vehicle is taken to be the one that flies as long a
 it may raise an alarm too many, not watched in the air it may fall.
 
 A vehicle that is landing is in the air until it comes near the ground, by the height above its home that it reports:
-a descent takes as long as many a flight.
+a descent takes as long as many a flight. By that height a vehicle that does not say whether it flies is near the
+ground, too.
 
 Into a vehicle's own log nobody else writes, and it holds a report for each change: nothing in it is contested.
 """
@@ -16,6 +17,7 @@ Into a vehicle's own log nobody else writes, and it holds a report for each chan
 from __future__ import annotations
 
 from itertools import pairwise
+from math import nan
 from typing import ClassVar, Literal, NamedTuple
 
 from adapters.mavlink.heartbeat import ARMED, is_autopilot_heartbeat
@@ -127,13 +129,20 @@ class FlightPhase:
         self._beats = Said()
         self._landings = Said()
         self._logged = False  # whether the reports are those of the vehicle's own log
-        self._high_ns: int | None = None  # when it was last reported to be high; None where it is low or unknown
+        # when it was last reported to be high, or at about the height of its home; None where it is not or unknown
+        self._high_ns: int | None = None
+        self._low_ns: int | None = None
 
     @property
     def airborne(self) -> bool | None:
         """Whether it flies: in the air, or landing and still high; None where the vehicle does not report it."""
         landed = self.landed
         return None if landed is None else landed == "air" or (landed == "landing" and self._high_ns is not None)
+
+    @property
+    def near_home(self) -> bool:
+        """Whether a vehicle that does not report whether it flies is at about the height of its home."""
+        return self._landed is None and self._low_ns is not None
 
     @property
     def armed(self) -> bool | None:
@@ -154,7 +163,7 @@ class FlightPhase:
     def state(self) -> tuple[object, ...]:
         """All that decides something now; what else is remembered may change without a consequence."""
         landing_high = self._landed == "landing" and self._high_ns is not None
-        return self._armed, self._landed, landing_high, self.reports, self.contradiction, self.contested
+        return self._armed, self._landed, landing_high, self.near_home, self.reports, self.contradiction, self.contested
 
     def copy(self) -> FlightPhase:
         """Return a phase of its own with the same state."""
@@ -170,8 +179,9 @@ class FlightPhase:
         self._logged |= message.source.is_onboard_log
         if message.name == "GLOBAL_POSITION_INT":
             height = message.fields.get("relative_alt")
-            is_high = message.source is MAVLINK and isinstance(height, int | float) and height > _HIGH_MM
-            self._high_ns = now_ns if is_high else None
+            above_mm = height if message.source is MAVLINK and isinstance(height, int | float) else nan
+            self._high_ns = now_ns if above_mm > _HIGH_MM else None
+            self._low_ns = now_ns if abs(above_mm) <= _HIGH_MM else None
             return
         is_heartbeat = is_autopilot_heartbeat(message)
         if is_heartbeat:
@@ -193,6 +203,8 @@ class FlightPhase:
             if self._landings.contested and "air" in self._landings.recent():
                 self._landed = "air"
         elif is_heartbeat and isinstance(mode, int):
+            if self._low_ns is not None and not 0 <= now_ns - self._low_ns < _RECENT_NS:
+                self._low_ns = None
             self._armed = armed
             if self._beats.contested:
                 self._armed = any(isinstance(beat, tuple) and beat[0] for beat in self._beats.recent())

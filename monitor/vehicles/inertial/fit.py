@@ -445,9 +445,9 @@ def _delays(
             start = int(max(evidence[0], evidence[len(evidence) // 2] - length // 2))
             transform = Strapdown(values, signal_hz, rate_hz)
             segments += transformed(flight.part(start, start + length), transform).segments()
-        if not segments:
-            raise TelemetryError("no healthy motion in the logs; record the vehicle moving, armed and in the air")
         longest = [segment for segment in segments if len(segment.u) > 10 * rate_hz]
+        if not longest:
+            raise TelemetryError("no 10 s of healthy motion in the logs; record it moving, armed and in the air")
         trials[delay] = delay_costs(_data(longest, transform, rate_hz))
     return best_delays(trials)
 
