@@ -115,8 +115,17 @@ class EffectivenessStage:
         rules: Mapping[str, EffectivenessRule],
         faults: Sequence[FaultChannel],
         inputs: Sequence[str],
+        outputs: Sequence[str],
         rate_hz: float,
+        reached: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
+        self._reached = [
+            (
+                [names.index(name) for name in names if name in reached],
+                [reached[name] for name in names if name in reached],
+            )
+            for names in (inputs, outputs)
+        ]
         self._channels = [
             (
                 index,
@@ -136,6 +145,7 @@ class EffectivenessStage:
         Samples give the commands and the effects of full deflections; ``fault`` (n, a) is in effect units, not
         smoothed.
         """
+        beyond = self._beyond(samples) if self._channels else np.empty(0)
         return {
             index: estimator.run(
                 samples.vehicle_time_ns,
@@ -144,9 +154,22 @@ class EffectivenessStage:
                 fault[:, index],
                 samples.u[:, command],
                 np.ones(len(samples)) if full is None else samples.u[:, full],
+                beyond,
             )
             for index, command, full, estimator in self._channels
         }
+
+    def _beyond(self, samples: Samples) -> NDArray[np.float64]:
+        """Return how many times larger than in the fitted flights the errors of the model may be (n,), once at least.
+
+        In proportion to inputs (actuators saturate, wings stall), by the square of outputs (products of rates turn a
+        body, too).
+        """
+        inputs, outputs = (
+            np.nan_to_num(np.abs(values[:, columns]) / sizes).max(axis=1, initial=1.0)
+            for values, (columns, sizes) in zip((samples.u, samples.y), self._reached, strict=True)
+        )
+        return np.asarray(np.fmax(inputs, outputs * outputs), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +253,9 @@ class ObserverChain:
         self._uncertainty = Uncertainty(observer, profile.model, names, profile.spread)
         self._since_measured = SinceMeasured()
         self._command = CommandUnits(profile)
-        self._effectiveness = EffectivenessStage(profile.effectiveness, profile.faults, gains.inputs, gains.rate_hz)
+        self._effectiveness = EffectivenessStage(
+            profile.effectiveness, profile.faults, gains.inputs, gains.outputs, gains.rate_hz, profile.reached
+        )
         self._changes = None
         if profile.changes is not None and profile.model is not None:
             inputs = {channel.name: channel.input for channel in profile.faults}

@@ -119,6 +119,8 @@ class ObserverProfile:
     excitation: ExcitationRule | None = None
     # what the raw signals of its transform reached in the flights that were fitted; None: not known
     envelope: Envelope | None = None
+    # largest sizes of its inputs and outputs in those flights, by name, for faults that are read against a deflection
+    reached: Mapping[str, float] = field(default_factory=dict)
     # how many times the standard deviation of the design the estimates of faults have in healthy flight, by name; once
     # where it is left out
     spread: Mapping[str, float] = field(default_factory=dict)
@@ -243,10 +245,10 @@ def _part_of_topic(name: str) -> None:
         raise ValueError(f"is '{name}'; it becomes part of a topic: no / * $ # ? or blanks")
 
 
-def _spread(table: Table, faults: Collection[str]) -> dict[str, float]:
+def _sizes(table: Table, names: Collection[str], what: str) -> dict[str, float]:
     for name in table:
-        if name not in faults:
-            table.mistake(name, f"is no fault of the observer; they are {', '.join(sorted(faults))}")
+        if name not in names:
+            table.mistake(name, f"is no {what} of the observer; they are {', '.join(sorted(names))}")
     found = {name: table.number(name, above=0.0) for name in table}
     table.done()
     return found
@@ -269,6 +271,8 @@ def observer_table(observer: ObserverProfile, sees: Mapping[str, str] = MappingP
         table["excitation"] = excitation_table(observer.excitation)
     if observer.envelope is not None:
         table["envelope"] = asdict(observer.envelope)
+    if observer.reached:
+        table["reached"] = dict(observer.reached)
     if observer.supply is not None:
         table["supply"] = asdict(observer.supply)
     if observer.spread:
@@ -361,7 +365,8 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         changes=read_changes(table.table("changes"), shared.outputs) if table.has("changes") else None,
         excitation=read_excitation(table.table("excitation"), shared.outputs) if table.has("excitation") else None,
         envelope=read_envelope(table.table("envelope")) if table.has("envelope") else None,
-        spread=_spread(table.table("spread"), {channel.name for channel in faults}),
+        reached=_sizes(table.table("reached"), {*shared.inputs, *shared.outputs}, "input or output"),
+        spread=_sizes(table.table("spread"), {channel.name for channel in faults}, "fault"),
         supply=read_supply(table.table("supply")) if table.has("supply") else None,
         model=plant,
     )

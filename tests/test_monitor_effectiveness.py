@@ -25,13 +25,14 @@ def read(
     restart: int | None = None,
     armed: NDArray[np.bool_] | None = None,
     rule: EffectivenessRule = RULE,
+    beyond: NDArray[np.float64] | float = 1.0,
 ) -> EffectivenessRun:
     """Return loss and offset after each sample of a run."""
     rows = np.arange(len(fault))
     always = np.ones(len(fault), np.bool_)
-    return EffectivenessEstimator(rule, RATE_HZ).run(
-        rows * round(1e9 / RATE_HZ), rows == restart, always if armed is None else armed, fault, command, full * always
-    )
+    flags = rows == restart, always if armed is None else armed
+    columns = fault, command, full * always, beyond * always
+    return EffectivenessEstimator(rule, RATE_HZ).run(rows * round(1e9 / RATE_HZ), *flags, *columns)
 
 
 def faulty(
@@ -75,6 +76,34 @@ def test_an_offset_is_seen_without_any_command(offset: float, sign: float, seed:
     assert seen[-1] < END + 75
     assert run.evidence[END - 1] == pytest.approx(sign * offset, abs=0.02)
     assert np.isnan(run.share[END - 1])
+
+
+WEATHER = replace(RULE, misfit=1.2)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 1000))
+def test_gusts_that_no_fitted_flight_had_accuse_nobody(seed: int) -> None:
+    noise = np.random.default_rng(seed).normal(scale=0.01, size=6000) * np.where(np.arange(6000) < 1000, 1.0, 10.0)
+    command = np.resize(TURNS, 6000)
+    assert np.sum(accused(read(noise, command)) >= 2500)
+    assert not np.sum(accused(read(noise, command, rule=WEATHER)) >= 2500)
+
+
+@settings(max_examples=15, deadline=None)
+@given(loss=st.floats(0.4, 1.0), seed=st.integers(0, 1000))
+def test_a_fault_is_not_taken_for_weather(loss: float, seed: int) -> None:
+    run = faulty(TURNS, loss=loss, seed=seed, rule=WEATHER)
+    seen = accused(run)
+    assert ONSET <= seen[0] < ONSET + 40
+    assert np.sum((seen >= ONSET + 40) & (seen < END)) >= 0.95 * (END - ONSET - 40)
+    assert seen[-1] < END + 75
+
+
+def test_errors_of_the_model_grow_beyond_the_flights_that_were_fitted() -> None:
+    stalled = np.where(np.arange(1500) >= ONSET, 0.3 * TURNS, 0.0)  # 30 % less than commanded
+    assert len(accused(read(stalled, TURNS)))
+    assert not len(accused(read(stalled, TURNS, beyond=4.0)))
 
 
 def test_loss_and_offset_together_are_told_apart() -> None:

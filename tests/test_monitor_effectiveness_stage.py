@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import pytest
 from cuts import cuts, same_bits
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,6 +24,8 @@ FAULTS = (
     FaultChannel("throttle", "actuator", "", 1),
     FaultChannel("steering", "actuator", "", 0),
 )
+INPUTS, OUTPUTS = ("steering", "throttle", "speed"), ("yaw_rate",)
+REACHED = {"throttle": 0.41, "yaw_rate": 1.0}
 STEERING = 2
 STEP_NS = 20_000_000
 
@@ -31,7 +34,7 @@ class Clocked:
     """A stage and the time of its next sample."""
 
     def __init__(self) -> None:
-        self.stage = EffectivenessStage({"steering": RULE}, FAULTS, ("steering", "throttle", "speed"), 50.0)
+        self.stage = EffectivenessStage({"steering": RULE}, FAULTS, INPUTS, OUTPUTS, 50.0)
         self.now_ns = 0
 
         self.sizes: dict[int, float] = {}
@@ -122,6 +125,18 @@ def test_an_accusation_that_cannot_be_confirmed_keeps_its_size() -> None:
     assert all(size != 0.0 for evidence, size in held if np.isnan(evidence))
 
 
+@pytest.mark.parametrize(("command", "yaw_rate", "seen"), [(0.3, 1.0, True), (3.0, 0.0, False), (0.3, 3.0, False)])
+def test_beyond_what_the_fitted_flights_reached_errors_of_the_model_are_larger(
+    command: float, yaw_rate: float, seen: bool
+) -> None:
+    rule = replace(RULE, loss_doubt=0.02)
+    stage = EffectivenessStage({"steering": rule}, FAULTS, INPUTS, OUTPUTS, 50.0, {"steering": 0.5, "yaw_rate": 1.0})
+    samples, fault, armed = driven(0)
+    samples.u[:] = command, 0.5, 1.0
+    samples.y[:], fault[:] = yaw_rate, -0.2 * command
+    assert bool(stage.run(samples, fault, armed)[STEERING].size[-1]) is seen
+
+
 def test_absurd_numbers_from_a_network_are_no_evidence() -> None:
     one = Clocked()
     feed(one, 50, loss=0.5)
@@ -134,7 +149,7 @@ def test_absurd_numbers_from_a_network_are_no_evidence() -> None:
 
 LONG = 420
 MANY = {
-    "steering": replace(RULE, lag_s=0.05, loss_doubt=0.02, offset_doubt=0.004, inflation=2.0),
+    "steering": replace(RULE, lag_s=0.05, loss_doubt=0.02, offset_doubt=0.004, inflation=2.0, misfit=1.2),
     "throttle": EffectivenessRule(0.02, 1.5, 0.0, 0.05, 0.0, 4.0, memories_s=(0.2, 0.8, 3.0), hold_s=1.0),
 }
 
@@ -186,7 +201,7 @@ def test_cuts_do_not_change_a_bit(
     samples.vehicle_time_ns[jump[0] :] += jump[1]
     for row, column, value in odd:
         (samples.u if seed % 2 else fault)[row, column] = value
-    one, other = (EffectivenessStage(MANY, FAULTS, ("steering", "throttle", "speed"), 50.0) for _ in range(2))
+    one, other = (EffectivenessStage(MANY, FAULTS, INPUTS, OUTPUTS, 50.0, REACHED) for _ in range(2))
     whole = one.run(samples, fault, armed)
     runs = [other.run(samples.part(part.start, part.stop), fault[part], armed[part]) for part in parts]
     for index, expected in whole.items():
@@ -198,7 +213,7 @@ def test_the_samples_of_that_comparison_accuse_contradict_and_hold() -> None:
     seen = {"accused": 0, "unknown": 0, "dropped": 0}
     for seed in range(8):
         samples, fault, armed = driven(seed)
-        stage = EffectivenessStage(MANY, FAULTS, ("steering", "throttle", "speed"), 50.0)
+        stage = EffectivenessStage(MANY, FAULTS, INPUTS, OUTPUTS, 50.0, REACHED)
         for one in stage.run(samples, fault, armed).values():
             accused = ~np.isnan(one.evidence) & (one.evidence != 0.0)
             seen["accused"] += int(np.sum(accused))

@@ -26,7 +26,7 @@ def test_calibration_finds_noise_colour_and_the_models_own_error() -> None:
     assert rule.certainty >= 5.0
     estimator = EffectivenessEstimator(rule, RATE_HZ)
     flags = np.ones(6000, np.bool_)
-    evidence = estimator.run(np.arange(6000) * 20_000_000, ~flags, flags, *run).evidence
+    evidence = estimator.run(np.arange(6000) * 20_000_000, ~flags, flags, *run, np.ones(6000)).evidence
     assert not np.nan_to_num(evidence).any()
 
 

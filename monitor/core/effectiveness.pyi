@@ -10,7 +10,15 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 class Follower:
+    misfit: float
     def __init__(self, rule: EffectivenessRule, rate_hz: float) -> None: ...
     def run(
-        self, times_ns: NDArray[np.int64], restart: Flags, armed: Flags, fault: Array, command: Array, full: Array
+        self,
+        times_ns: NDArray[np.int64],
+        restart: Flags,
+        armed: Flags,
+        fault: Array,
+        command: Array,
+        full: Array,
+        beyond: Array,
     ) -> Array: ...

@@ -18,8 +18,17 @@ cdef double ACQUITTAL = 2.0
 cdef double CONTRADICTION = 9.0
 # Information is 1 / variance of sizes near 1: this little is none, and only keeps a division defined.
 cdef double SMALLEST_INFORMATION = 1e-30
+# Time constant over which the run's own misfit is known, seconds: weather lasts for minutes, and half a second of a
+# fault that its sizes do not explain yet adds a fortieth of it.
+cdef double MISFIT_S = 20.0
+# Time constant with which model errors outlast the motion that made them, seconds: rates that decay take about as long.
+cdef double BEYOND_S = 0.3
 # Effects are near 1; values a million times larger come from a broken sender, and their squares would drown the rest.
 cdef double LARGEST_EFFECT = 1e6
+
+cdef struct Doubt:
+    # How many times larger than in the fitted flights errors of the model are, and the variance of the noise beside.
+    double beyond, noise
 
 cdef struct Verdict:
     # Evidence and relative are not a number where they are not known.
@@ -40,6 +49,8 @@ cdef class Follower:
 
     cdef list memories
     cdef double lag_keep, rate_hz, certainty, u, m, size
+    cdef double noise, usual_misfit, misfit_keep, beyond, beyond_keep
+    cdef readonly double misfit
     cdef long long longest_ns, used_ns
     cdef Py_ssize_t hold, unconfirmed
     cdef bint used, lagged
@@ -51,15 +62,18 @@ cdef class Follower:
         self.longest_ns = round(max(rule.memories_s) * 1e9)
         self.hold = self.unconfirmed = round(rule.hold_s * rate_hz)
         self.used, self.used_ns, self.size = False, 0, 0.0
+        self.noise, self.usual_misfit, self.misfit = rule.noise, rule.misfit, rule.misfit
+        self.misfit_keep, self.beyond_keep = exp(-1.0 / (MISFIT_S * rate_hz)), exp(-1.0 / (BEYOND_S * rate_hz))
         self.restart()
 
     def run(self, const long long[:] times_ns, const unsigned char[:] restart, const unsigned char[:] armed,
-            const double[:] fault, const double[:] command, const double[:] full):
+            const double[:] fault, const double[:] command, const double[:] full, const double[:] beyond):
         """Process n rows; return the 8 columns of an ``EffectivenessRun`` (8, n)."""
         cdef Py_ssize_t k, count = times_ns.shape[0]
         cdef bint afresh
         cdef Verdict verdict
-        if not count == restart.shape[0] == armed.shape[0] == fault.shape[0] == command.shape[0] == full.shape[0]:
+        if not (count == restart.shape[0] == armed.shape[0] == fault.shape[0] == command.shape[0] == full.shape[0]
+                == beyond.shape[0]):
             raise ValueError("the columns differ in length")
         result = np.full((8, count), NAN)
         cdef double[:, ::1] columns = result
@@ -70,7 +84,7 @@ cdef class Follower:
                 if afresh:
                     self.restart()
                 self.used, self.used_ns = True, times_ns[k]
-                verdict = self.update(fault[k], command[k], full[k])
+                verdict = self.update(fault[k], command[k], full[k], beyond[k])
                 if not isnan(verdict.evidence):
                     self.size = verdict.evidence
                 columns[0, k], columns[1, k] = verdict.loss, verdict.loss_error
@@ -84,7 +98,7 @@ cdef class Follower:
         return result
 
     cdef void restart(self) noexcept:
-        self.lagged = False
+        self.lagged, self.beyond = False, 1.0
         self.forget()
 
     cdef void forget(self) noexcept:
@@ -98,11 +112,27 @@ cdef class Follower:
         cdef Py_ssize_t i
         self.unconfirmed = min(self.unconfirmed + 1, self.hold)
         for i in range(len(self.memories)):
-            (<Memory> self.memories[i]).add(0.0, 0.0, 0.0, 0.0)
+            (<Memory> self.memories[i]).add(0.0, 0.0, 0.0, 0.0, 1.0)
 
-    cdef Verdict update(self, double fault, double command, double full) noexcept:
+    cdef Doubt doubt(self, double fault, double beyond) noexcept:
+        """Return how many times larger than in the fitted flights errors of the model are now, and the noise in all.
+
+        Errors of the model grow with how far the motion is beyond that of the fitted flights, and last a while; what a
+        run has more than those, gusts among it, shows in how badly the sizes of the longest memory explain f^.
+        """
+        cdef Memory longest = <Memory> self.memories[len(self.memories) - 1]
+        cdef double rest
+        self.beyond = max(beyond, 1.0 + self.beyond_keep * (self.beyond - 1.0))
+        if self.usual_misfit > 0.0:
+            rest = longest.rest(fault, self.u, self.m) / (self.noise * self.beyond)
+            self.misfit = self.misfit_keep * self.misfit + (1.0 - self.misfit_keep) * rest * rest
+            return Doubt(self.beyond, max(1.0, self.misfit / self.usual_misfit))
+        return Doubt(self.beyond, 1.0)
+
+    cdef Verdict update(self, double fault, double command, double full, double beyond) noexcept:
         cdef Py_ssize_t i, count = len(self.memories)
         cdef double gain = 1.0 - self.lag_keep, step
+        cdef Doubt doubt
         cdef Memory shortest = <Memory> self.memories[0]
         cdef Verdict verdict
         # u and m lagged as f^ is behind the fault, and the speed of u.
@@ -111,33 +141,34 @@ cdef class Follower:
         step = gain * (command - self.u)
         self.u += step
         self.m += gain * (full - self.m)
+        doubt = self.doubt(fault, beyond)
         for i in range(count):
-            (<Memory> self.memories[i]).add(fault, self.u, self.m, step * self.rate_hz)
+            (<Memory> self.memories[i]).add(fault, self.u, self.m, step * self.rate_hz, doubt.beyond)
         # The shortest memory that knows decides; where none does, the longest one's sizes are shown.
         for i in range(count):
-            verdict = (<Memory> self.memories[i]).judge()
+            verdict = (<Memory> self.memories[i]).judge(doubt)
             if not isnan(verdict.evidence):
                 break
         verdict.relative = NAN
         if is_accusation(&verdict):
-            if shortest.contradicts(&verdict):
+            if shortest.contradicts(&verdict, doubt):
                 self.forget()
                 verdict.evidence = 0.0
                 return verdict
             for i in range(count):
-                verdict.relative = (<Memory> self.memories[i]).loss_beside_offset()
+                verdict.relative = (<Memory> self.memories[i]).loss_beside_offset(doubt)
                 if not isnan(verdict.relative):
                     break
-        verdict.evidence = self.confirmed(&verdict)
+        verdict.evidence = self.confirmed(&verdict, doubt)
         return verdict
 
-    cdef double confirmed(self, Verdict* verdict) noexcept:
+    cdef double confirmed(self, Verdict* verdict, Doubt doubt) noexcept:
         """Return the evidence; zero once nothing could have confirmed an accusation for as long as it is held."""
         cdef Py_ssize_t i
         cdef Memory shortest = <Memory> self.memories[0]
         if is_accusation(verdict):
             for i in range(len(self.memories)):
-                if (<Memory> self.memories[i]).reach(shortest, verdict) >= self.certainty:
+                if (<Memory> self.memories[i]).reach(shortest, verdict) >= self.certainty * sqrt(doubt.noise):
                     self.unconfirmed = 0
                     return verdict.evidence
         self.unconfirmed = min(self.unconfirmed + 1, self.hold)
@@ -166,9 +197,9 @@ cdef class Memory:
         # Moments of u', the speed of u, with the regressors.
         self.su = self.sm = 0.0
 
-    cdef void add(self, double fault, double u, double m, double speed) noexcept:
+    cdef void add(self, double fault, double u, double m, double speed, double beyond) noexcept:
         """Lambda <- forget Lambda + w phi phi', b <- forget b + w phi f^ with phi = [-u, m]."""
-        cdef double forget = self.forget, weight = self.weight
+        cdef double forget = self.forget, weight = self.weight / (beyond * beyond)
         self.uu = forget * self.uu + weight * u * u
         self.um = forget * self.um - weight * u * m
         self.mm = forget * self.mm + weight * m * m
@@ -177,18 +208,19 @@ cdef class Memory:
         self.su = forget * self.su + weight * u * speed
         self.sm = forget * self.sm + weight * m * speed
 
-    cdef Verdict judge(self) noexcept:
+    cdef Verdict judge(self, Doubt doubt) noexcept:
         """Return loss alone and offset alone, each tested against its own error, and the evidence of the larger."""
         cdef Verdict v
         cdef bint matters
+        cdef double loss_doubt = doubt.beyond * self.loss_doubt, offset_doubt = doubt.beyond * self.offset_doubt
         v.loss, v.loss_error = 0.0, INFINITY
         v.offset, v.offset_error = 0.0, INFINITY
         if self.uu > SMALLEST_INFORMATION:
             v.loss = self.bu / self.uu
-            v.loss_error = self.error(self.uu, self.um * self.offset_doubt, self.su, self.loss_doubt)
+            v.loss_error = self.error(self.uu, self.um * offset_doubt, self.su, loss_doubt, doubt.noise)
         if self.mm > SMALLEST_INFORMATION:
             v.offset = self.bm / self.mm
-            v.offset_error = self.error(self.mm, self.um * self.loss_doubt, self.sm, self.offset_doubt)
+            v.offset_error = self.error(self.mm, self.um * loss_doubt, self.sm, offset_doubt, doubt.noise)
         v.is_loss = plausible(v.loss, v.loss_error) and v.loss * self.bu >= v.offset * self.bm
         v.score = fabs(v.loss) / v.loss_error if v.is_loss else fabs(v.offset) / v.offset_error
         matters = fabs(v.loss) >= self.least_loss if v.is_loss else fabs(v.offset) >= self.least_offset
@@ -200,26 +232,36 @@ cdef class Memory:
             v.evidence = 0.0
         return v
 
-    cdef double error(self, double own, double other, double speed, double doubt) noexcept:
+    cdef double rest(self, double fault, double u, double m) noexcept:
+        """Return what of f^ neither loss and offset together nor health explain, whichever explains more."""
+        cdef double determinant = self.uu * self.mm - self.um * self.um, loss, offset, rest
+        if not determinant > SMALLEST_INFORMATION:
+            return fault
+        loss = (self.mm * self.bu - self.um * self.bm) / determinant
+        offset = (self.uu * self.bm - self.um * self.bu) / determinant
+        rest = fault + loss * u - offset * m
+        return rest if fabs(rest) < fabs(fault) else fault
+
+    cdef double error(self, double own, double other, double speed, double doubt, double noise) noexcept:
         """Return the standard error of one size fitted alone: noise, its own doubt, the other's, and the timing."""
         cdef double of_other = other / own, of_timing = speed * self.timing_s / own
-        return sqrt(1.0 / own + doubt * doubt + of_other * of_other + of_timing * of_timing)
+        return sqrt(noise / own + doubt * doubt + of_other * of_other + of_timing * of_timing)
 
-    cdef double loss_beside_offset(self) noexcept:
+    cdef double loss_beside_offset(self, Doubt doubt) noexcept:
         """Return -loss of the fit of both where it is certain and plausible, else not a number."""
         cdef double determinant = self.uu * self.mm - self.um * self.um, beside, slip, error
         if not determinant > SMALLEST_INFORMATION:
             return NAN
         beside = (self.mm * self.bu - self.um * self.bm) / determinant
         slip = self.timing_s * (self.mm * self.su + self.um * self.sm) / determinant
-        error = sqrt(self.mm / determinant + slip * slip + self.loss_doubt * self.loss_doubt)
+        error = sqrt(doubt.noise * self.mm / determinant + slip * slip + self.loss_doubt * self.loss_doubt)
         return -beside if self.certainty * error <= fabs(beside) and plausible(beside, error) else NAN
 
-    cdef bint contradicts(self, Verdict* verdict) noexcept:
+    cdef bint contradicts(self, Verdict* verdict, Doubt doubt) noexcept:
         """Return whether the accusation explains worse than health what this memory holds: the drop of the misfit."""
         if verdict.is_loss:
-            return verdict.loss * (verdict.loss * self.uu - 2.0 * self.bu) > CONTRADICTION
-        return verdict.offset * (verdict.offset * self.mm - 2.0 * self.bm) > CONTRADICTION
+            return verdict.loss * (verdict.loss * self.uu - 2.0 * self.bu) > CONTRADICTION * doubt.noise
+        return verdict.offset * (verdict.offset * self.mm - 2.0 * self.bm) > CONTRADICTION * doubt.noise
 
     cdef double reach(self, Memory shortest, Verdict* verdict) noexcept:
         """Return how many standard errors the accusation would be here if things went on as lately."""

@@ -10,7 +10,10 @@ Both are followed by least squares with exponential forgetting: information Lamb
 
     Lambda <- e^(-T / memory) Lambda + w phi phi',   b <- e^(-T / memory) b + w phi f^,     phi = [-u, m],
 
-where 1 / w is the variance of the noise times the number of samples that count as one (noise is coloured). Loss
+where 1 / w is the variance of the noise times the number of samples that count as one (noise is coloured). The noise
+is what the fitted flights had, times what this run shows beyond them: by how much worse loss and offset explain f^ over
+the last 20 s (gusts), and by how far inputs and outputs lie outside of them (saturation, stall, products of rates:
+outputs count by their squares). Loss
 alone and offset alone are tested each by itself, estimate over standard error, the latter including how wrong the
 healthy model may be in both, and that the time between u and f^ is known within ``timing_s`` only, which looks like a
 fault of size timing_s u' while u moves. The size that explains more, b_i^2 / Lambda_ii, is the evidence. An
@@ -84,6 +87,7 @@ def _read_rule(table: Table, inputs: Sequence[str]) -> EffectivenessRule:
         timing_s=table.number("timing_s", default.timing_s, at_least=0.0),
         hold_s=table.number("hold_s", default.hold_s, at_least=0.0),
         full=table.optional_text("full"),
+        misfit=table.number("misfit", default.misfit, at_least=0.0),
     )
     if table.good("memories_s") and list(rule.memories_s) != sorted(set(rule.memories_s)):
         table.mistake("memories_s", "does not grow; put the shortest memory first")
@@ -116,6 +120,8 @@ class EffectivenessRule:
     # fade first
     hold_s: float = 3.0
     full: str | None = None  # input that is the effect of a full constant deflection; None: that effect is 1
+    # largest mean square over 20 s of what loss and offset left of f^ in healthy flights, over noise^2; 0: not compared
+    misfit: float = 0.0
 
 
 class EffectivenessRun(NamedTuple):
@@ -149,14 +155,27 @@ class EffectivenessEstimator:
     def __init__(self, rule: EffectivenessRule, rate_hz: float) -> None:
         self._follower = Follower(rule, rate_hz)
 
+    @property
+    def misfit(self) -> float:
+        """Mean square over the last 20 s of what loss and offset leave of f^, over noise^2."""
+        return self._follower.misfit
+
     def run(
-        self, times_ns: NDArray[np.int64], restart: Flags, armed: Flags, fault: Array, command: Array, full: Array
+        self,
+        times_ns: NDArray[np.int64],
+        restart: Flags,
+        armed: Flags,
+        fault: Array,
+        command: Array,
+        full: Array,
+        beyond: Array,
     ) -> EffectivenessRun:
         """Process n samples.
 
         All is forgotten at a restart, and where evidence (``armed``) was missing for longer than the longest memory.
         ``fault``, ``command`` and ``full`` (n,) are f^ of the observer, not smoothed further, u in the same units, and
-        m, the effect of a constant full deflection.
+        m, the effect of a constant full deflection; ``beyond`` how many times larger than in the fitted flights the
+        model's errors may be, 1 inside of them.
         """
         flags = restart, armed
-        return EffectivenessRun(*self._follower.run(times_ns, *flags, fault, command, full))
+        return EffectivenessRun(*self._follower.run(times_ns, *flags, fault, command, full, beyond))

@@ -29,6 +29,8 @@ _SWEEPS = 5
 """Rounds of fit and selection of quiet samples. Measured on coloured commands with noise: nothing changes after two."""
 _LEAST_QUIET = 0.3
 """Least share of samples that the noise is measured on, however much the command moves."""
+_MISFIT_STEP_S = 2.0
+"""How often the misfit is looked at, seconds. Chosen: a tenth of the time over which it is known."""
 _OUTLIER = 3.0
 """Residuals beyond three standard deviations are clipped: a gust is no statement about the correlation of noise."""
 
@@ -60,7 +62,25 @@ def calibrate_effectiveness(
     )
     verdicts = [verdict for memory_s in rule.memories_s for verdict in _verdicts(runs, rate_hz, doubtful, memory_s)]
     worst = max(float(np.nanmax(verdict.score, initial=0.0)) for verdict in verdicts)
-    return replace(doubtful, certainty=max(_SMALLEST_CERTAINTY, margin * worst))
+    certainty = max(_SMALLEST_CERTAINTY, margin * worst)
+    return replace(doubtful, certainty=certainty, misfit=_misfit(runs, rate_hz, doubtful))
+
+
+def _misfit(runs: Sequence[HealthyRun], rate_hz: float, rule: EffectivenessRule) -> float:
+    """Return the largest mean square over 20 s of what loss and offset leave of f^, over noise^2."""
+    largest, step = 1.0, round(_MISFIT_STEP_S * rate_hz)
+    for run in runs:
+        estimator = EffectivenessEstimator(replace(rule, misfit=1.0), rate_hz)
+        for start in range(0, len(run.fault), step):
+            _run(estimator, HealthyRun(*(column[start : start + step] for column in run)), rate_hz)
+            largest = max(largest, estimator.misfit)
+    return largest
+
+
+def _run(estimator: EffectivenessEstimator, run: HealthyRun, rate_hz: float) -> EffectivenessRun:
+    count = len(run.fault)
+    times_ns = np.round(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+    return estimator.run(times_ns, np.zeros(count, np.bool_), np.ones(count, np.bool_), *run, np.ones(count))
 
 
 def _noise(runs: Sequence[HealthyRun], rate_hz: float, timing_s: float) -> tuple[float, float]:
@@ -105,13 +125,7 @@ def _verdicts(
 ) -> list[EffectivenessRun]:
     """Return loss and offset after each sample of each healthy run, with one memory alone."""
     alone = replace(rule, memories_s=(memory_s,))
-    verdicts = []
-    for run in runs:
-        count = len(run.fault)
-        times_ns = np.round(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
-        never, always = np.zeros(count, np.bool_), np.ones(count, np.bool_)
-        verdicts.append(EffectivenessEstimator(alone, rate_hz).run(times_ns, never, always, *run))
-    return verdicts
+    return [_run(EffectivenessEstimator(alone, rate_hz), run, rate_hz) for run in runs]
 
 
 def _excess(estimates: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import radians
 from typing import Any
 
 import numpy as np
@@ -87,6 +88,9 @@ _SMOOTHING_S = 0.05
 """Smoothing of estimates that are shown, seconds; their reading has memories of its own."""
 _LEAST_RUN_S = 1.0
 """Shorter stretches of evidence, after settling, hold fewer than ten independent samples."""
+_ORDINARY_RATE, _ORDINARY_ACCELERATION = radians(60.0), 5.0
+"""Rates (rad/s) and accelerations (m/s2) of ordinary motion: errors of a calm drive straight on are noise, and do not
+grow in proportion to its turns. Chosen: as for the sensors' observer, and half of what brakes and tyres can do."""
 # Evidence is exactly zero where nothing is certain, so any size tells.
 _SCATTER = 0.03
 """Least scatter between recordings of an actuator's effect. Chosen: speed and air, by which deflections are scaled, are
@@ -162,6 +166,7 @@ def fit_effects(
         isolation=IndependentRule(_SMOOTHING_S),
         alarms=tuple(Calibrated(alarm, None) for alarm in alarms),
         effectiveness=reading,
+        reached=_reached(gains, flights),
         flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
         findings=_findings(fit, rate_hz, reference, reading),
         lines=tuple(_lines(fit, rate_hz, reference, reading)),
@@ -209,10 +214,25 @@ def _reading(
             for estimates, u in runs
         ]
         rule = calibrate_effectiveness(healthy, gains.rate_hz, start)
-        learned = ("noise", "inflation", "lag_s", "loss_doubt", "offset_doubt", "certainty")
+        learned = ("noise", "inflation", "lag_s", "loss_doubt", "offset_doubt", "certainty", "misfit")
         rounded: dict[str, Any] = {name: float(f"{getattr(rule, name):.4g}") for name in learned}
         rules[fault] = replace(rule, **rounded)
     return rules
+
+
+def _reached(gains: Gains, flights: Sequence[Flight]) -> dict[str, float]:
+    """Return the largest sizes of inputs and outputs in healthy flight, of outputs those of ordinary motion at least.
+
+    An input that never moved is left out: what it does is not known to be wrong.
+    """
+    found = {}
+    for names, column in ((gains.inputs, "u"), (gains.outputs, "y")):
+        rows = np.concatenate([getattr(flight.samples, column)[flight.evidence] for flight in flights])
+        for name, largest in zip(names, np.abs(rows).max(axis=0, initial=0.0), strict=True):
+            ordinary = 0.0 if column == "u" else _ORDINARY_RATE if name.endswith("rate") else _ORDINARY_ACCELERATION
+            if (size := max(largest, ordinary)) > 0.0:
+                found[name] = float(f"{size:.3g}")
+    return found
 
 
 def _observed(gains: Gains, flight: Flight) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:

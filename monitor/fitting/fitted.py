@@ -129,6 +129,7 @@ class Fitted:
     changes: ChangeRule | None = None  # how sudden changes are told from noise
     excitation: ExcitationRule | None = None  # how its errors grow with what excites them
     envelope: Envelope | None = None  # what its raw signals reached in healthy flight
+    reached: Mapping[str, float] = field(default_factory=dict)  # what its inputs and outputs reached, by name
     # how many times the deviation of the design its estimates have in healthy flight, by fault
     spread: Mapping[str, float] = field(default_factory=dict)
     supply: SupplyRule | None = None  # how commands act with the battery's voltage
