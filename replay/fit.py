@@ -324,8 +324,8 @@ def profile_content(name: str, kind: str, gate: GateRule, report: FitReport, ide
     """Return profile.toml of what was fitted."""
     tables = {fitted.name: fitted.table() for fitted in report.observers}
     known = {alarm.rule.channel for fitted in report.observers for alarm in fitted.alarms}
-    rules = (rule for fitted in report.observers for rule in fitted.excuses)
-    excuses = [rule for rule in rules if known.issuperset((*rule.channels, *rule.by))]
+    rules = (rule.among(known) for fitted in report.observers for rule in fitted.excuses)
+    excuses = [rule for rule in rules if rule.channels and rule.by]
     return profile_table(name=name, vehicle=kind, identity=identity, gate=gate, observers=tables, excuses=excuses)
 
 

@@ -151,6 +151,11 @@ def test_two_alarms_of_one_channel_both_have_to_clear() -> None:
     assert excused(north, 100)
 
 
+def test_a_rule_says_nothing_of_channels_without_an_alarm() -> None:
+    rule = ExcuseRule(("steering", "throttle"), ("gyro_z", "accel_x"), 4.0)
+    assert rule.among(("steering", "gyro_z", "compass")) == ExcuseRule(("steering",), ("gyro_z",), 4.0)
+
+
 def test_rules_read_back_as_written(tmp_path: Path) -> None:
     rules = RULE, ExcuseRule(("gyro_x",), ("gyro_y",), 2.0, same_cause=True)
     file = TomlFile("profile.toml", {"excuses": excuse_tables(rules)}, ProfileError)

@@ -67,6 +67,9 @@ def test_a_profile_holds_how_estimates_are_read(folder: Path, profile: Profile) 
     assert not profile.gate.require_airborne
     assert set(observer.effectiveness) == {"steering", "throttle"}
     assert (observer.effectiveness["steering"].full, observer.effectiveness["throttle"].full) == ("speed", None)
+    assert max(observer.effectiveness["steering"].misfit, observer.effectiveness["throttle"].misfit) > 1.0
+    assert set(observer.reached) <= {*observer.gains[0].inputs, *observer.gains[0].outputs}
+    assert any("steering" in rule.channels and "gyro_z" in rule.by for rule in profile.excuses)
     report = json.loads((folder / "fit.json").read_text())["observers"]["drive"]
     assert report["watched"] == ["steering", "throttle"]
     assert report["axes"]["yaw_rate"]["explained"] > 0.99

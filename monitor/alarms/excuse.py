@@ -8,7 +8,7 @@ the alarm of one is active, the other raises none.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,11 @@ class ExcuseRule:
     # whether those alarms name the same cause more exactly: raised while one of the channels has an active alarm, they
     # say more of that one and are none of their own (:mod:`monitor.alarms.desk`)
     same_cause: bool = False
+
+    def among(self, alarms: Collection[str]) -> ExcuseRule:
+        """Return what the rule says of these channels."""
+        channels, by = (tuple(name for name in names if name in alarms) for names in (self.channels, self.by))
+        return replace(self, channels=channels, by=by)
 
 
 class Excuses:

@@ -24,6 +24,7 @@ from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
+from monitor.alarms.excuse import ExcuseRule
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import IndependentRule
@@ -97,6 +98,9 @@ _SCATTER = 0.03
 known within some per cent."""
 _THRESHOLD, _CLEAR, _CRITICAL = 0.001, 0.0005, 0.25
 _RAISE_S, _CLEAR_S = 0.15, 0.3
+_EXCUSED_S = 4.0
+"""How long after its end a sensor's fault explains what it made of actuators, seconds: the longest memory fades within
+one, and an accusation is held for three without excitation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +114,8 @@ class EffectKind:
     full: Mapping[str, str]
     # from segments, rate and input names to the fit
     identify: Callable[[Sequence[Segment], float, Sequence[str]], AxesFit]
+    # channels of sensors that it measures the vehicle's motion with: their faults look like those of actuators
+    sensors: tuple[str, ...]
 
 
 def fit_effects(
@@ -172,6 +178,7 @@ def fit_effects(
         lines=tuple(_lines(fit, rate_hz, reference, reading)),
         details=() if comparison is None else ("on data kept back:", *comparison_lines(comparison)),
         comparison=comparison,
+        excuses=(ExcuseRule(tuple(gains.faults), kind.sensors, _EXCUSED_S),),
         agreement=_agreement(plant, gains.faults, request.names, [flight.segments() for flight in flights]),
     )
     return fitted, gate

@@ -269,7 +269,7 @@ def _designed(
         flight_s=fit.seconds,
         findings=_findings(fit, parameters),
         lines=_lines(parameters, alarms, channels.imu),
-        excuses=_excuses({found.rule.channel for found in alarms}),
+        excuses=_EXCUSES,
     )
 
 
@@ -486,16 +486,6 @@ def _alarms(
         # what is washed out twice swings back to a seventh of a jump, of which the mean knows nothing
         alarms.append(replace(found, rule=replace(found.rule, slow=inf)) if channel.name in swinging else found)
     return alarms
-
-
-def _excuses(names: Collection[str]) -> tuple[ExcuseRule, ...]:
-    """Return the rules among channels that are there."""
-    found = []
-    for rule in _EXCUSES:
-        channels, by = (tuple(name for name in given if name in names) for given in (rule.channels, rule.by))
-        if channels and by:
-            found.append(ExcuseRule(channels, by, rule.for_s))
-    return tuple(found)
 
 
 def _findings(fit: InertialFit, parameters: Mapping[str, float]) -> dict[str, object]:

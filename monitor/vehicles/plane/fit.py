@@ -67,6 +67,7 @@ _PLANE = EffectKind(
     speed=lambda signals: signals[:, SurfaceInputs.signals.index("airspeed")],
     full={"aileron": "pressure", "elevator": "pressure", "rudder": "pressure"},
     identify=identify_surfaces,
+    sensors=("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"),
 )
 
 

@@ -100,6 +100,7 @@ _ROVER = EffectKind(
     speed=_speed,
     full={"steering": "speed"},
     identify=identify_drive,
+    sensors=("gyro_z", "accel_x", "gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east"),
 )
 
 
