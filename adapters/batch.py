@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -129,17 +130,20 @@ class Batch:
 
 def messages(batch: Batch) -> Iterator[Message]:
     """Yield the messages of a batch one by one, in the order of arrival."""
-    entries: list[tuple[Columns, int] | Message | None] = [None] * batch.count
+    following = {position: iter((message,)) for position, message in batch.others.items()}
     for columns in batch.columns:
-        for row, position in enumerate(columns.position.tolist()):
-            entries[position] = columns, row
-    for position, message in batch.others.items():
-        entries[position] = message
-    for entry in entries:
-        if isinstance(entry, Message):
-            yield entry
-        elif entry is not None:
-            yield one_message(*entry)
+        following |= dict.fromkeys(columns.position.tolist(), _each(columns))
+    for position in sorted(following):
+        yield next(following[position])
+
+
+def _each(columns: Columns) -> Iterator[Message]:
+    """Yield the messages of columns; a field's values all become Python's at once."""
+    source, name, system, component = columns.source, columns.name, columns.system, columns.component
+    values = [field.tolist() for field in columns.fields.values()]
+    rows = zip(*values, strict=True) if values else repeat(())
+    for received_ns, row in zip(columns.received_ns.tolist(), rows, strict=False):
+        yield Message(source, name, received_ns, dict(zip(columns.fields, row, strict=True)), system, component)
 
 
 def one_message(columns: Columns, row: int) -> Message:
