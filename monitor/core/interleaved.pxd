@@ -4,8 +4,6 @@
 cdef enum:
     # Findings that are an attack where they come close together.
     FINDINGS = 8
-    # Intruders among rows that keep their period that are one: as many as stamps of another clock (core/sampling.pyx).
-    INTRUDERS = 3
 
 
 cdef class Interleaved:
@@ -15,7 +13,7 @@ cdef class Interleaved:
     cdef long long _taken
     cdef long long[FINDINGS] _found
     cdef long long[FINDINGS] _found_at
-    cdef long long[INTRUDERS] _intruded
+    cdef long long _intruded
     cdef long long* _stamps
     cdef double* _rows
     cdef double* _periods

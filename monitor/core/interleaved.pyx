@@ -9,7 +9,9 @@ them: over the last seconds, and now, where senders take turns of the second, th
 different rows of one time are another sender's, too.
 
 A forged value now and then is told by the rows that keep their period: one that comes between two of them, and is
-several times further from the line between these than any of them from that between those around it, is another's.
+several times further from the line between these than any of them from that between those around it, is another's. A
+single one is enough: damage and jolts change a row that comes anyway, a second radio or another rate brings no value
+that contradicts (none in 94 recordings, nor in 564 runs of them with loss, bursts, jitter or pauses).
 
 What is usual is followed slowly, and not while there are findings: the period by a median, differences by a mean of
 those that are not zero, as values may be held or counted in steps. A link that changes its rate, or two radios that
@@ -26,7 +28,7 @@ cdef enum:
     ROWS = 16
     # The row that is judged, two before the newest: as late as a row may come and still have its place.
     JUDGED = 13
-    # Rows of the smaller of two groups among the first. Chosen: as many intruders are an attack.
+    # Rows of the smaller of two groups among the first. Chosen: one or two of them may be a jolt.
     FEWEST = 3
     # Senders who take turns: one forged value beside one to three true ones.
     LAGS = 4
@@ -134,7 +136,7 @@ cdef class Interleaved:
             return self.find(received) or other
         if other:
             return True
-        if not self.lately(FINDINGS // 2, received) and not 0 <= received - self._intruded[INTRUDERS - 1] < WINDOW:
+        if not self.lately(FINDINGS // 2, received) and not 0 <= received - self._intruded < WINDOW:
             self.follow(JUDGED)
         return False
 
@@ -210,7 +212,7 @@ cdef class Interleaved:
         return False
 
     cdef bint intrude(self, int before, int after, long long stamp, const double* row, long long received) noexcept:
-        """Count a row between two others where it is an intruder; return whether intruders are an attack."""
+        """Return whether a row between two others is an intruder."""
         cdef int[ROWS] own
         cdef double span = <double>(self._stamps[after] - self._stamps[before]), share, most, off
         cdef int i, k, count
@@ -232,9 +234,8 @@ cdef class Interleaved:
             off = fabs(turned(row[i] - self._rows[before * self._width + i], self._periods[i])
                        - share * self.step(before, after, i))
             if off > FAR * most > 0.0:
-                memmove(self._intruded, self._intruded + 1, (INTRUDERS - 1) * sizeof(long long))
-                self._intruded[INTRUDERS - 1] = received
-                return self._intruded[0] != 0 and 0 <= received - self._intruded[0] < WINDOW
+                self._intruded = received
+                return True
         return False
 
     cdef int period_rows(self, int before, int after, int* own) noexcept:
