@@ -18,7 +18,7 @@ from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.recording import background
 from monitor.recording.archive import Archive
-from monitor.recording.background import BackgroundArchive, BackgroundJournal, DiskThread, wait_for
+from monitor.recording.background import BackgroundArchive, BackgroundJournal, DiskThread, Turn, wait_for
 from monitor.recording.journal import Journal
 from monitor.recording.record_encoder import RecordEncoder
 from monitor.service.vehicle_monitor import VehicleMonitor
@@ -106,6 +106,24 @@ def test_jobs_with_a_size_are_done_when_they_are_waited_for_or_take_half_of_the_
     assert thread.put(lambda: done.append(2), 1)
     until(lambda: len(done) == 3)
     assert thread.close(5.0)
+
+
+def test_threads_that_share_a_turn_write_one_at_a_time_and_say_that_they_wait(
+    disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(background, "_STALLED_S", 0.01)
+    turn = Turn()
+    first, second = DiskThread("first", 10, turn), DiskThread("second", 10, turn)
+    first.put(disk.answer)
+    until(lambda: first.stalled_s > 0.0)
+    second.put(lambda: None)
+    assert not second.wait(0.05)
+    assert second.stalled_s > 0.0
+    disk.well.set()
+    until(lambda: second.wait(1.0))
+    assert second.stalled_s == 0.0
+    assert first.close(5.0)
+    assert second.close(5.0)
 
 
 def test_a_job_that_fails_is_logged_and_the_next_is_done(caplog: pytest.LogCaptureFixture) -> None:

@@ -21,6 +21,14 @@ def message(number: int) -> Message:
     return Message(MAVLINK, "ATTITUDE", number, {}, 1, 1)
 
 
+def taken(inbox: Inbox) -> list[Arrival]:
+    """Return what waits of all senders."""
+    found = []
+    while not inbox.empty:
+        found += inbox.take(0.0)
+    return found
+
+
 def each(arrivals: list[Arrival]) -> list[tuple[str | None, Message]]:
     return [(arrival.vehicle, message) for arrival in arrivals for message in messages(arrival.batch)]
 
@@ -64,7 +72,7 @@ def test_two_links_arrive_under_their_vehicles_and_a_link_that_fails_is_read_aga
         inbox.listen("shared", ScriptedLink([message(1)], ValueError("cable"), [message(2)]))
         inbox.listen("own", ScriptedLink([message(3)]), "rover-1")
         until(lambda: inbox.statistics().waiting == 3)
-    found = each(inbox.take(1.0))
+    found = each(taken(inbox))
     inbox.close()
     assert [arrival for arrival in found if arrival[0] is None] == [(None, message(k)) for k in (1, 2)]
     assert ("rover-1", message(3)) in found
@@ -107,15 +115,15 @@ def test_a_sender_that_floods_loses_its_own_messages_and_waits_for_its_turn() ->
     for _ in range(100):
         inbox.put(attitudes(7, 900))
         inbox.put(attitudes(1, 1))
-    first = inbox.take(0.0)
-    assert [one.system for _, one in each(first)].count(1) == 100
+    assert [one.system for _, one in each(inbox.take(0.0))] == [7] * 900
+    assert [one.system for _, one in each(inbox.take(0.0))] == [1] * 100
     assert inbox.statistics().dropped == 100 * 900 - 900
 
 
 def test_a_batch_of_two_senders_waits_with_each() -> None:
     inbox = Inbox(10)
     inbox.put(pack([Message(MAVLINK, "ATTITUDE", 0, {}, 1 + k % 2, 1) for k in range(4)]))
-    assert sorted(one.system for _, one in each(inbox.take(0.0))) == [1, 1, 2, 2]
+    assert sorted(one.system for _, one in each(taken(inbox))) == [1, 1, 2, 2]
 
 
 def test_what_has_waited_for_a_second_is_dropped_but_for_signs_of_life() -> None:
@@ -130,6 +138,35 @@ def test_what_has_waited_for_a_second_is_dropped_but_for_signs_of_life() -> None
     assert max(b - a for a, b in itertools.pairwise([*old, now_ns - 1_000_000_000])) < 700_000_000
     assert sum(t > now_ns - 900_000_000 for t in taken) == 3 * 89
     assert inbox.statistics().dropped == 1500 - len(taken)
+
+
+def test_where_rounds_take_longer_than_a_second_less_of_each_is_kept_until_they_do_not() -> None:
+    inbox = Inbox(100_000, oldest_s=1.0)
+
+    def kept_of_a_round(seconds: float) -> int:
+        now_ns = time.time_ns()
+        for hundredth in range(round(100 * seconds), 0, -1):
+            inbox.put(attitudes(1, 1, now_ns - hundredth * 10_000_000))
+        return sum(one.received_ns > now_ns - 1_000_000_000 for _, one in each(inbox.take(0.0)))
+
+    kept = [kept_of_a_round(seconds) for seconds in (3.0, 3.0, 1.0, 0.3, 0.3)]
+    assert kept[0] > 90
+    assert 25 < kept[1] < 40
+    assert 25 < kept[2] < 40
+    assert kept[4] == 30
+    assert inbox.empty
+
+
+def test_a_link_collects_what_comes_while_the_loop_is_behind() -> None:
+    inbox = Inbox(100)
+    inbox.listen("one", ScriptedLink(*([message(k)] for k in range(50))))
+    until(lambda: not inbox.empty)
+    behind = inbox.statistics().arrived
+    until(lambda: inbox.statistics().arrived > behind)
+    assert inbox.statistics().arrived < 25
+    until(lambda: len(inbox.take(0.1)) == 0)
+    inbox.close()
+    assert inbox.statistics().arrived == 50
 
 
 def test_a_time_of_arrival_from_before_the_clock_was_set_is_not_old() -> None:

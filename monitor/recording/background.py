@@ -17,9 +17,9 @@ from monitor.event import AlarmEvent
 from monitor.recording.archive import Archive, ArchiveStatistics
 from monitor.recording.journal import MAX_PENDING, Journal, JournalStatistics
 
-HELD_BYTES = 1 << 25
-"""Memory of a vehicle's messages and samples that wait for its recording. Chosen: 32 MB hold a minute and more of one
-that makes 1,000 a second, so that the hiccups of an SD card (seconds) cost nothing."""
+HELD_BYTES = 1 << 26
+"""Memory of all vehicles' messages and samples that wait for recordings. Chosen: 64 MB hold two minutes of one that
+makes 1,000 a second and 10 s of sixteen, so that the hiccups of an SD card (seconds) cost nothing."""
 _SAMPLE_BYTES = 500
 """A sample with its estimate: some 60 numbers of two observers."""
 _JOBS = 50_000
@@ -32,20 +32,45 @@ FINISH_S = 8.0
 """For what still waits at the end. Chosen: the unit allows 20 s for stopping, and there are two threads to wait for."""
 
 
+class Turn:
+    """Lets one of several threads write at a time: many at once would leave the one that watches too little time."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._begun_s: float | None = None
+
+    @property
+    def begun_s(self) -> float | None:
+        """Since when the job in hand has been going on, monotonic; None where there is none."""
+        return self._begun_s
+
+    def do(self, job: Callable[[], object]) -> None:
+        """Do a job when its turn comes."""
+        with self._lock:
+            self._begun_s = time.monotonic()
+            try:
+                job()
+            finally:
+                self._begun_s = None
+
+
+_RECORDINGS = Turn()
+
+
 class DiskThread:
     """Does jobs one after the other in a thread; those that find too much waiting are refused.
 
     Jobs with a size do not wake the thread, which takes as long as some of them: they wait for the next one without,
-    or until half of the room is taken. ``stalled_s`` says for how long the job in hand has been waiting for the disk, 0
-    where it has not for long.
+    or until half of the room is taken. Threads that share a ``turn`` do theirs one at a time. ``stalled_s`` says for
+    how long the job in hand has been waiting for the disk, 0 where it has not for long.
     """
 
-    def __init__(self, name: str, limit: int) -> None:
+    def __init__(self, name: str, limit: int, turn: Turn | None = None) -> None:
         self._jobs: deque[tuple[Callable[[], object], int]] = deque()
         self._limit = limit
         self._waiting = 0
         self._given = self._done = 0
-        self._begun_s: float | None = None
+        self._turn = turn or Turn()
         self._in_vain = False
         self._closing = False
         self._changed = threading.Condition()
@@ -81,7 +106,7 @@ class DiskThread:
     @property
     def stalled_s(self) -> float:
         """Seconds for which the job in hand has kept the others waiting, 0 below a second."""
-        begun_s = self._begun_s
+        begun_s = self._turn.begun_s if self._given > self._done else None
         stalled_s = 0.0 if begun_s is None else time.monotonic() - begun_s
         return stalled_s if stalled_s >= _STALLED_S else 0.0
 
@@ -100,14 +125,12 @@ class DiskThread:
                 if not self._jobs:
                     return
                 job, size = self._jobs.popleft()
-                self._begun_s = time.monotonic()
             try:
-                job()
+                self._turn.do(job)
             except Exception:
                 # Whatever a disk makes of it, the next job is done.
                 logging.getLogger(__name__).exception("%s failed", self._thread.name)
             with self._changed:
-                self._begun_s = None
                 self._waiting -= size
                 self._done += 1
                 if not self._jobs:
@@ -116,11 +139,11 @@ class DiskThread:
 
 
 class BackgroundArchive:
-    """An archive that is written in a thread; what there is no room for is lost, counted."""
+    """An archive that is written in a thread, one of ``sharers``; what there is no room for is lost, counted."""
 
-    def __init__(self, archive: Archive, vehicle: str) -> None:
+    def __init__(self, archive: Archive, vehicle: str, sharers: int = 1) -> None:
         self._archive = archive
-        self._thread = DiskThread(f"recording of {vehicle}", HELD_BYTES)
+        self._thread = DiskThread(f"recording of {vehicle}", HELD_BYTES // sharers, _RECORDINGS)
         self._lost = 0
 
     def batch(self, batch: Batch) -> None:

@@ -22,11 +22,14 @@ _POLL_S = 0.2
 """How long a link waits for telemetry before its thread looks whether it is to end; closing waits that long."""
 _STUCK_S = 5.0
 """A link comes back every 0.2 s, or after a connection attempt of 1 s: longer than this it hangs."""
+_COLLECTED_S = 0.1
+"""How long links collect what comes while the loop is behind: few large batches cost less than many small ones. Chosen:
+less than half of what ``datagrams.pyx`` waits for its reader."""
 _AFTER_ERROR_S = 0.2
 """Chosen: a link that fails at once again does not fill the log or a core."""
-_TURN = 4096
-"""Messages after which :meth:`Inbox.take` returns: about 0.1 s of work, so that what is due in between (status,
-watchdog, election) is not held up by a backlog."""
+_TURN = 1024
+"""Messages of one sender in a turn: 25 ms of work, three seconds of a vehicle. What is due in between (status,
+watchdog, election) is not held up by a backlog, nor are the others by one that floods."""
 
 
 class Link(Protocol):
@@ -55,11 +58,13 @@ class InboxStatistics:
 
 
 OLDEST_S = 1.0
-"""What has waited longer, here or in the kernel, is dropped by a monitor that watches. Chosen: half of what an operator
-may be told late, and five times the longest turn of the loop."""
+"""What has waited longer, here or in the kernel, is dropped by a monitor that watches, and a round of all senders is to
+take no longer. Chosen: half of what an operator may be told late."""
+_LEAST_KEPT_S = 0.05
+"""What of a sender is always kept of a round. Chosen: two batches of 20 ms and a half."""
 _SIGN_OF_LIFE_S = 0.5
-"""Of what is dropped for its age a batch is kept so often, so that telemetry that had to wait is not taken for silence,
-which begins at ``stale_s``, a second at least."""
+"""Of what is dropped for its age a message is kept so often, so that telemetry that had to wait is not taken for
+silence, which begins at ``stale_s``, a second at least."""
 _MOST_BYTES = 1 << 26
 """Memory of all that waits: 64 MB, ten times what 20,000 messages of MAVLink take."""
 _TURN_BYTES = 1 << 22
@@ -86,6 +91,8 @@ class _Queue:
         self.count = 0
         self.size = 0
         self.shown_s = 0.0
+        self.kept_s = OLDEST_S
+        self.waited_s = _LEAST_KEPT_S
 
     def put(self, entry: _Waiting) -> None:
         self.entries.append(entry)
@@ -111,7 +118,9 @@ class Inbox:
         self._size = 0
         self._oldest_s = oldest_s
         self.limit = limit
-        self._changed = threading.Condition()
+        lock = threading.Lock()
+        self._changed = threading.Condition(lock)
+        self._emptied = threading.Condition(lock)
         self._closed = False
         self._threads: list[threading.Thread] = []
         self._answered: dict[str, float] = {}
@@ -158,25 +167,26 @@ class Inbox:
             self._changed.notify()
 
     def take(self, timeout_s: float) -> list[Arrival]:
-        """Return batches, by turns of each sender, waiting at most ``timeout_s`` for the first.
+        """Return what waits of the sender whose turn it is, in order, waiting at most ``timeout_s`` for any.
 
-        A backlog is returned in portions of about 4096 messages.
+        About 1024 messages at most; what is left waits until all others have had their turn.
         """
         with self._changed:
             if not self._waiting:
                 self._changed.wait(timeout_s)
-            taken: list[Arrival] = []
+            key = next((key for key, queue in self._queues.items() if queue.entries), None)
+            if key is None:
+                return []
+            queue = self._queues[key] = self._queues.pop(key)
+            taken = [] if self._oldest_s is None else self._shed(queue, self._oldest_s)
             count = size = 0
-            if self._oldest_s is not None:
-                until_s = time.monotonic() - self._oldest_s
-                taken += [arrival for queue in self._queues.values() for arrival in self._shed(queue, until_s)]
-            while self._waiting and count < _TURN and size < _TURN_BYTES:
-                for queue in self._queues.values():
-                    if queue.entries:
-                        entry = self._next(queue)
-                        taken.append(entry.arrival)
-                        count += entry.arrival.batch.count
-                        size += entry.size
+            while queue.entries and count < _TURN and size < _TURN_BYTES:
+                entry = self._next(queue)
+                taken.append(entry.arrival)
+                count += entry.arrival.batch.count
+                size += entry.size
+            if not self._waiting:
+                self._emptied.notify_all()
             return taken
 
     def _next(self, queue: _Queue) -> _Waiting:
@@ -199,16 +209,24 @@ class Inbox:
             self._waiting += rest.count
             self._size += kept.size
 
-    def _shed(self, queue: _Queue, until_s: float) -> list[Arrival]:
-        """Drop what came before a monotonic time; return the batches that are kept as signs of life."""
+    def _shed(self, queue: _Queue, oldest_s: float) -> list[Arrival]:
+        """Drop what is too old; return the messages of it that are kept as signs of life.
+
+        What waits came since the sender's turn before. Where two were longer ago than ``oldest_s``, one after the
+        other, less of each sender is kept, so that the next round takes as long.
+        """
+        now_s = time.monotonic()
+        before_s, queue.waited_s = queue.waited_s, max(now_s - queue.entries[0].since_s, _LEAST_KEPT_S)
+        queue.kept_s *= oldest_s / min(before_s, queue.waited_s)
+        queue.kept_s = min(max(queue.kept_s, _LEAST_KEPT_S), oldest_s)
         kept = []
-        while queue.entries and queue.entries[0].since_s < until_s:
+        while queue.entries and now_s - queue.entries[0].since_s > queue.kept_s:
             entry = self._next(queue)
+            self._dropped += entry.arrival.batch.count
             if entry.since_s - queue.shown_s >= _SIGN_OF_LIFE_S:
                 queue.shown_s = entry.since_s
-                kept.append(entry.arrival)
-            else:
-                self._dropped += entry.arrival.batch.count
+                kept.append(entry.arrival._replace(batch=cut(entry.arrival.batch, 0, 1)))
+                self._dropped -= 1
         return kept
 
     @property
@@ -243,6 +261,8 @@ class Inbox:
                 batch = link.receive(_POLL_S)
                 self._meters[name].count(batch)
                 self.put(batch, vehicle)
+                with self._emptied:
+                    self._emptied.wait_for(lambda: self._closed or not self._waiting, _COLLECTED_S)
             except Exception:
                 # Whatever a link meets, monitoring of the others goes on.
                 self._errors += 1

@@ -347,7 +347,7 @@ class Station:
             )
         if recorder is None and black_box is None:
             return None
-        archive = BackgroundArchive(Archive(encoder, recorder, black_box), name)
+        archive = BackgroundArchive(Archive(encoder, recorder, black_box), name, self._sharers)
         stack.callback(self._finish, archive, recorder, pipeline)
         return archive
 
