@@ -1,15 +1,17 @@
-"""How commands speak and take numbers: results on stdout, remarks on stderr, in neither what a terminal obeys."""
+"""How commands speak, take numbers and listen: results on stdout, remarks on stderr, in neither what terminals obey."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import math
+import os
+import socket
 import sys
 from collections.abc import Sequence
 from typing import Any
 
-from adapters.errors import printable
+from adapters.errors import UsageError, printable
 
 
 def say(*lines: str) -> None:
@@ -66,3 +68,22 @@ def positive(text: str) -> int:
 def several(text: str) -> Sequence[str]:
     """Read an argument of several texts with commas between them."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def host_port(name: str, address: str, example: str) -> tuple[str, int]:
+    """Return host and port to listen on; ``name`` begins the message of a UsageError, ``example`` ends it."""
+    host, _, port = address.rpartition(":")
+    host = host.strip("[]")
+    if not host or not port.isdecimal() or int(port) > 0xFFFF:
+        raise UsageError(f"{name} {address}: is not HOST:PORT, for example {example}")
+    return host, int(port)
+
+
+def listening(name: str, address: str, example: str) -> socket.socket:
+    """Return a TCP socket that listens on HOST:PORT; a UsageError says why it cannot, as of :func:`host_port`."""
+    where = host_port(name, address, example)
+    try:
+        return socket.create_server(where, family=socket.AF_INET6 if ":" in where[0] else socket.AF_INET)
+    except OSError as error:
+        why = os.strerror(error.errno) if error.errno is not None and error.errno > 0 else error
+        raise UsageError(f"{name} {address}: cannot listen there: {why}; take another port") from error

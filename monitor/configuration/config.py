@@ -12,11 +12,11 @@ from typing import Any, Literal, NamedTuple, TypeVar, get_args
 from adapters.errors import ConfigError
 from adapters.mavlink.companion import COMPANION
 from adapters.toml_tables import Table, read_toml
+from adapters.zenoh.zenoh_session import DEFAULT_ENDPOINT
 from monitor.configuration import config_values as check
 from monitor.configuration.config_checks import conflicts, link_conflicts
 from monitor.notify.notices import OCCASIONS, Occasion
 
-DEFAULT_LISTEN = "tcp/127.0.0.1:7447"
 DEFAULT_PREFIX = "fauio"
 
 AllowedCommand = Literal["ack", "shelve", "unshelve", "reset"]
@@ -365,7 +365,7 @@ class Config:
     )
     new_vehicles: NewVehicles = _section(NewVehicles)
     listen: tuple[str, ...] = _key(
-        (DEFAULT_LISTEN,), _texts(check.endpoint, single=True), "Zenoh endpoints to listen on.", [DEFAULT_LISTEN]
+        (DEFAULT_ENDPOINT,), _texts(check.endpoint, single=True), "Zenoh endpoints to listen on.", [DEFAULT_ENDPOINT]
     )
     connect: tuple[str, ...] = _key(
         (), _texts(check.endpoint, single=True), "Zenoh endpoints to connect to.", ["tcp/192.168.1.2:7447"]

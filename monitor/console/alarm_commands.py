@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adapters.command_line import remark, say
+from adapters.zenoh.zenoh_session import DEFAULT_ENDPOINT, endpoints, open_session
 
 if TYPE_CHECKING:
     import zenoh
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from monitor.bus.subscriber import AlarmSubscriber
     from monitor.event import AlarmEvent
 
-DEFAULT_CONNECT = "tcp/127.0.0.1:7447"
 NOBODY_AFTER_S = 1.0
 """Chosen: a monitor on the network is discovered well before, and a person waits that long without a word."""
 
@@ -97,7 +97,7 @@ def add_endpoints(parser: argparse.ArgumentParser, default: str | None = None) -
         metavar="ENDPOINT",
         action="append",
         default=default,
-        help=f"Zenoh endpoint of a monitor or a router, may be repeated (default: {DEFAULT_CONNECT})",
+        help=f"Zenoh endpoint of a monitor or a router, may be repeated (default: {DEFAULT_ENDPOINT})",
     )
     parser.add_argument(
         "--zenoh-config",
@@ -114,9 +114,7 @@ def add_endpoints(parser: argparse.ArgumentParser, default: str | None = None) -
 @contextmanager
 def monitors(args: argparse.Namespace) -> Iterator[tuple[zenoh.Session, Sequence[str]]]:
     """Open a session with the monitors that the command line names; yield it and their endpoints."""
-    from adapters.zenoh.zenoh_session import endpoints, open_session
-
-    connect = args.connect or [DEFAULT_CONNECT]
+    connect = args.connect or [DEFAULT_ENDPOINT]
     where = endpoints("connect", connect, args.zenoh_config)
     # a session left open would keep the process alive for ever
     with open_session(connect=connect, config_file=args.zenoh_config) as session:

@@ -6,7 +6,7 @@ import argparse
 import re
 from pathlib import Path
 
-from adapters.command_line import say
+from adapters.command_line import host_port, say
 from adapters.errors import UsageError
 from monitor.console.alarm_commands import add_endpoints, monitors
 
@@ -52,12 +52,12 @@ def run_console(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
     from monitor.bus.keys import ANY, vehicle_root
     from monitor.configuration.config_values import is_loopback
-    from monitor.console.web_server import ConsoleOptions, ConsoleServer, listen_address
+    from monitor.console.web_server import LISTEN, ConsoleOptions, ConsoleServer
     from monitor.service.caught_signals import caught_signals
 
     token = None if args.token_file is None else _token(args.token_file)
-    listen_address(args.listen)
-    if token is None and not is_loopback(args.listen.rpartition(":")[0]):
+    host, _ = host_port("--listen", args.listen, LISTEN)
+    if token is None and not is_loopback(host):
         raise UsageError(
             f"--listen {args.listen}: others could reach it, so it needs --token-file; or listen on 127.0.0.1 behind a "
             "reverse proxy that asks who it is"

@@ -6,8 +6,6 @@ import asyncio
 import contextlib
 import itertools
 import json
-import os
-import socket
 import threading
 from collections.abc import AsyncIterator, Collection
 from dataclasses import dataclass
@@ -24,7 +22,8 @@ from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Re
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from adapters.errors import FauioError, UsageError, printable
+from adapters.command_line import listening
+from adapters.errors import FauioError, printable
 from monitor.bus.operators import VERBS
 from monitor.bus.payload import to_json
 from monitor.console.fleet_view import FleetView
@@ -49,6 +48,7 @@ _CLOSE_S: Final = 3.0
 """Chosen: open streams end within a period; what hangs is not waited for."""
 _LOGIN_PAUSE_S: Final = 1.0
 """Chosen: a guess a second finds no token."""
+LISTEN = "127.0.0.1:8600"
 _PAGE: Final = Path(__file__).parent / "page"
 _UPLOT: Final = Path(__file__).parent.parent / "views" / "uplot"
 
@@ -57,7 +57,7 @@ _UPLOT: Final = Path(__file__).parent.parent / "views" / "uplot"
 class ConsoleOptions:
     """What a console serves and to whom."""
 
-    listen: str = "127.0.0.1:8600"
+    listen: str = LISTEN
     prefix: str = "fauio"
     commands: bool = False  # whether alarms may be acknowledged, shelved and closed
     token: str | None = None
@@ -77,7 +77,7 @@ class ConsoleServer:
         self._streams = 0
         self._ended = False
         self._guesses = asyncio.Lock()
-        self._socket = _listen(options)
+        self._socket = listening("--listen", options.listen, LISTEN)
         host, port = self._socket.getsockname()[:2]
         self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
         self.fleet = FleetView(session, options.prefix)
@@ -257,22 +257,3 @@ def _json(payload: dict[str, Any]) -> Response:
 
 def _event(name: str, payload: dict[str, Any]) -> bytes:
     return f"event: {name}\ndata: ".encode() + to_json(payload) + b"\n\n"
-
-
-def listen_address(listen: str) -> tuple[str, int]:
-    """Return host and port of ``--listen``; raise UsageError where it is none."""
-    host, _, port = listen.rpartition(":")
-    host = host.strip("[]")
-    if not host or not port.isdecimal() or int(port) > 0xFFFF:
-        raise UsageError(f"--listen {listen}: is not HOST:PORT, for example 127.0.0.1:8600")
-    return host, int(port)
-
-
-def _listen(options: ConsoleOptions) -> socket.socket:
-    host, port = listen_address(options.listen)
-    try:
-        made = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
-    except OSError as error:
-        why = os.strerror(error.errno) if error.errno is not None and error.errno > 0 else error
-        raise UsageError(f"--listen {options.listen}: cannot listen there: {why}; take another port") from error
-    return made

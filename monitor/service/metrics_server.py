@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import socket
 import threading
 from collections.abc import Callable
 from http import HTTPStatus
 
-from adapters.errors import UsageError
+from adapters.command_line import listening
 from monitor.service.health import Health, health_json
 from monitor.service.metrics import render
 
@@ -38,7 +37,7 @@ class MetricsServer:
         self.refused = 0
         self._snapshot = snapshot
         self._connections = 0
-        self._socket = _listen(address)
+        self._socket = listening("metrics address", address, "127.0.0.1:9464")
         self.port = int(self._socket.getsockname()[1])
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
@@ -114,16 +113,3 @@ def _response(status: HTTPStatus, body: bytes, content_type: str, more: str = ""
         f"Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\nConnection: close\r\n{more}\r\n"
     )
     return head.encode("latin-1") + (body if with_body else b"")
-
-
-def _listen(address: str) -> socket.socket:
-    host, _, port = address.rpartition(":")
-    host = host.strip("[]")
-    if not host or not port.isdecimal() or int(port) > 0xFFFF:
-        raise UsageError(f"metrics address '{address}': is not HOST:PORT, for example 127.0.0.1:9464")
-    try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        return socket.create_server((host, int(port)), family=family, backlog=MAX_CONNECTIONS)
-    except OSError as error:
-        reason = error.strerror or error
-        raise UsageError(f"metrics address '{address}': cannot be listened on ({reason}): take another") from error
