@@ -152,7 +152,7 @@ def own(draw: Draw, now_ns: int) -> Message:
 
 
 def _numbers(draw: Draw) -> dict[str, Any]:
-    keys = ("threshold", "clear", "critical", "raise_s", "clear_s", "fast", "slow", "slow_s", "latch_s")
+    keys = ("threshold", "clear", "critical", "raise_s", "clear_s", "fast", "slow", "slow_s", "lasting", "latch_s")
     return {draw.choice(keys): draw.value() for _ in range(draw.number() % 5)}
 
 

@@ -290,6 +290,8 @@ def _alarm_table(rule: AlarmRule, sees: str | None) -> dict[str, float | str]:
         table |= {"fast": rule.fast, "fast_s": rule.fast_s}
     if rule.slow < math.inf:
         table |= {"slow": rule.slow, "slow_s": rule.slow_s}
+    if rule.lasting < math.inf:
+        table |= {"lasting": rule.lasting, "lasting_s": rule.lasting_s}
     if rule.nats < math.inf:
         table |= {"nats": rule.nats, "least": rule.least}
     if rule.healthy:

@@ -1,4 +1,4 @@
-"""The alarm state machine: three paths, debounce by time, hysteresis, severity, latching, updates, identity."""
+"""The alarm state machine: its paths, debounce by time, hysteresis, severity, latching, updates, identity."""
 
 import json
 import math
@@ -149,6 +149,38 @@ def test_a_small_fault_that_stays_takes_the_slow_path_and_clears_with_its_mean()
     assert run(new_alarm(rule), [0.004, -0.004] * 500) == []
 
 
+LASTING = replace(RULE, lasting=0.005, lasting_s=4.0)
+
+
+def test_a_small_fault_that_lasts_for_all_of_a_flight_is_raised_by_its_mean_and_stands_as_long() -> None:
+    noise = np.tile([-0.009, 0.009], 1500)
+    raised, *_, cleared = run(new_alarm(LASTING), [*(noise[:1000] - 0.006), *noise[1000:]])
+    assert (raised.state, raised.vehicle_time_ms) == ("raised", 4000)
+    assert raised.estimate == pytest.approx(-0.006, abs=0.002)
+    assert cleared.state == "cleared"
+    assert cleared.vehicle_time_ms > 20_000
+    assert run(new_alarm(LASTING), noise.tolist()) == []
+
+
+def test_a_large_fault_that_was_seen_and_ended_is_forgotten_by_the_mean() -> None:
+    events = run(new_alarm(LASTING), [-0.05] * 600 + [0.0] * 1000)
+    assert [event.state for event in events if event.state != "updated"] == ["raised", "cleared"]
+
+
+def test_what_lasts_counts_per_the_scale_of_its_sizes_and_is_shown_as_it_is() -> None:
+    alarm, count = new_alarm(LASTING), 500
+    evidence, nothing = np.full((count, 1), -0.03), np.zeros((count, 0))
+    times_ns, always = np.arange(count) * STEP_NS, np.ones(count, np.bool_)
+    samples = Samples(
+        np.arange(count), times_ns, times_ns, nothing, nothing, ~always, always, times_ns, always, nothing > 0
+    )
+    events: list[AlarmEvent] = []
+    rows = ChainRows([alarm.state], np.arange(count), times_ns, ~always, evidence, always[:, None], evidence / -0.006)
+    walk([rows], lambda _observer, row, _alarm, code: events.append(alarm.event(code, samples, row, 0.5)))
+    (raised,) = events
+    assert (raised.estimate, raised.threshold, raised.creeping) == (pytest.approx(-0.03), pytest.approx(0.025), True)
+
+
 def test_an_alarm_that_comes_and_goes_is_latched_until_it_was_quiet_for_long() -> None:
     rule = replace(RULE, latch_s=20.0)
     burst = [-0.05] * 30 + [0.0] * 100
@@ -263,15 +295,16 @@ def handed_over(events: list[AlarmEvent], rule: AlarmRule) -> Alarm:
     return alarm
 
 
-def test_an_adopted_alarm_of_the_slow_path_stands_as_long_as_its_mean_does() -> None:
+@pytest.mark.parametrize("rule", [SLOW, replace(SLOW, slow=math.inf, lasting=0.008)])
+def test_an_adopted_alarm_of_a_mean_stands_as_long_as_that_does(rule: AlarmRule) -> None:
     evidence = [0.009] * 2000
-    before = run(new_alarm(SLOW), evidence)
+    before = run(new_alarm(rule), evidence)
     assert before[-1].creeping
-    after = handed_over(before, SLOW)
+    after = handed_over(before, rule)
     # a new process begins with an observer that starts anew
     assert run(after, [0.009], 2000, restart_first=True) == []
     assert run(after, evidence, 2001) == []
-    (cleared,) = run(after, [0.0] * 2000, 4001)
+    *_, cleared = run(after, [0.0] * 4000, 4001)
     assert (cleared.state, cleared.id) == ("cleared", before[0].id)
 
 
@@ -302,6 +335,7 @@ def test_events_do_not_depend_on_where_batches_end(
 ) -> None:
     evidence, speaking, restart = stream
     rule = AlarmRule("motors", "motor1", "actuator", "1", 1.0, 0.6, 3.0, 0.05, 0.1, fast=2.0, slow=slow, slow_s=0.5)
+    rule = replace(rule, lasting=slow / 2, lasting_s=0.5)
     whole, parts, times_ns = new_alarm(rule), new_alarm(rule), np.arange(600) * STEP_NS
     expected = process(whole, evidence, times_ns, restart=restart, speaking=speaking)
     events = []

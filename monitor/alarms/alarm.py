@@ -1,4 +1,4 @@
-"""From a channel's evidence to alarm events: four paths to raise it, hysteresis, debounce by time, severity, latching.
+"""From a channel's evidence to alarm events: five paths to raise it, hysteresis, debounce by time, severity, latching.
 
 Paths, each with its own size and time, whichever comes first:
 
@@ -8,10 +8,13 @@ Paths, each with its own size and time, whichever comes first:
 - fast: evidence beyond ``fast`` for ``fast_s``, for large faults;
 - plain: evidence beyond ``threshold`` for ``raise_s``;
 - slow: the exponentially weighted mean over ``slow_s`` beyond ``slow``, for small and creeping faults; evidence enters
-  it with twice ``slow`` at most, so that it forgets a large fault as fast as a small one.
+  it with twice ``slow`` at most, so that it forgets a large fault as fast as a small one;
+- lasting: the mean of all evidence since it began, of ``lasting_s`` at least and up to that of a flight, beyond
+  ``lasting``, for what is smaller than peaks but does not end (:mod:`monitor.fitting.lasting`); evidence enters it with
+  ``threshold`` at most.
 
-The alarm clears after the evidence was inside ``clear`` for ``clear_s``, and where only the slow path has seen it the
-mean inside half of ``slow``; where only the sudden path has seen it that time begins two seconds later, of what grows
+The alarm clears after the evidence was inside ``clear`` for ``clear_s``, and where only a mean has seen it the mean
+inside half of its size; where only the sudden path has seen it that time begins two seconds later, of what grows
 ``critical_ahead_s`` after them.
 It is critical from the size ``critical`` on, and already where its growth leads there within ``critical_ahead_s``.
 One that is raised for the third time within ``latch_s`` comes and goes: it clears only after ``latch_s`` of quiet. The
@@ -47,6 +50,9 @@ LOG_TIMES = "natural logarithm of times"
 CLIPS = "samples/s"
 """Unit of how often a sensor is at its end."""
 
+LASTING_S = 10.0
+"""Evidence that a mean of what lasts needs, seconds. Chosen: five times the slow path's, and the shortest flights known
+to be fitted (13 s, docs/leaderboard.md) hold one."""
 _LARGEST_LOG = 50.0
 """Beyond it nothing is measured; the exponential of more is no number that people read."""
 _CHAIN = {
@@ -154,6 +160,8 @@ class AlarmRule:
     slow: float = math.inf  # size of the mean that raises it, and the mean's time constant; infinite size: no such path
     slow_s: float = 2.0
     """Longer than a gust or a manoeuvre moves an estimate, shorter than a pilot would wait (docs/thresholds.md)."""
+    lasting: float = math.inf  # size of the mean of all evidence that raises it; infinite: no such path
+    lasting_s: float = LASTING_S  # how much evidence such a mean needs, seconds
     latch_s: float = 0.0  # quiet that an alarm which comes and goes needs before it clears; 0: never latched
     # how far ahead its growth is looked at, for severity and where it grows from the start, seconds; 0: not at all
     critical_ahead_s: float = 5.0

@@ -30,6 +30,9 @@ cdef double SLOW_S = 2.0
 # banks (0.42 to 0.5 s on three quadcopters).
 cdef double WAIT_S = 1.0
 
+# Time over which the mean of what lasts forgets, once it has grown as long: that of a flight (monitor.fitting.lasting).
+cdef double FLIGHT_NS = 300e9
+
 # How long a sudden change is taken to last that the estimate does not show yet: as long as the test's window
 # (WINDOW_S of monitor.estimation.changes) still holds its onset.
 cdef int64_t UNSEEN_NS = 2_000_000_000
@@ -103,13 +106,15 @@ cdef class AlarmState:
     """
 
     cdef double threshold, clear, critical_size, raise_ns, clear_ns, fast, fast_ns, slow, slow_ns, latch_ns, ahead_s
-    cdef double nats, least
+    cdef double nats, least, lasting, lasting_ns
     cdef readonly bint active, critical, creeping, recurring, sudden
     cdef readonly double shown, peak, size, reported
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
     cdef bint contiguous, fails_towards_less, explained
     cdef int64_t explained_ns, explained_last_ns
-    cdef double mean
+    # the weighted mean of the slow path; that of all evidence since it began, and how long that has been
+    cdef double mean, whole, whole_ns
+    cdef bint lasts
     cdef Trend trend
     cdef int64_t raised_ns[3]
     cdef int raised_count
@@ -118,12 +123,12 @@ cdef class AlarmState:
 
     def __init__(self):
         self.trend = Trend()
-        self.active = self.contiguous = self.excused_now = self.sudden = self.explained = False
+        self.active = self.contiguous = self.excused_now = self.sudden = self.explained = self.lasts = False
         self.explained_ns = self.explained_last_ns = 0
         self.counter_ns = self.fast_counter_ns = 0
         self.raised_count = 0
         self.last_ns = self.ended_ns = LONG_AGO
-        self.mean = 0.0
+        self.forget()
         self.excused_spans = None
 
     def set_rule(self, rule):
@@ -134,6 +139,7 @@ cdef class AlarmState:
         self.slow, self.slow_ns = rule.slow, rule.slow_s * NANOSECONDS
         self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
         self.nats, self.least = rule.nats, rule.least
+        self.lasting, self.lasting_ns = rule.lasting, rule.lasting_s * NANOSECONDS
         self.fails_towards_less = rule.kind == "actuator"
 
     def set_excuse(self, bint now, spans):
@@ -146,7 +152,11 @@ cdef class AlarmState:
         """Be active as an event of another run of the monitor says."""
         self.counter_ns = self.fast_counter_ns = self.unseen_ns = 0
         self.trend.reset()
-        self.mean = estimate if creeping else 0.0
+        self.forget()
+        if creeping:
+            # Which mean had seen it the event does not say: both hold it.
+            self.mean, self.whole = estimate, limited(estimate, self.threshold)
+            self.lasts, self.whole_ns = self.lasting < INFINITY, self.lasting_ns
         self.active, self.critical, self.creeping, self.recurring = True, critical, creeping, recurring
         self.shown = self.reported = estimate
         self.peak, self.size, self.reported_ns = peak, size, reported_ns
@@ -157,8 +167,12 @@ cdef class AlarmState:
         self.ended_ns = self.last_ns
         self.counter_ns = self.fast_counter_ns = 0
         self.raised_count = 0
-        self.mean = 0.0
+        self.forget()
         self.trend.reset()
+
+    cdef void forget(self) noexcept:
+        """Begin the means anew."""
+        self.mean = self.whole = self.whole_ns = 0.0
 
     cdef bint excused(self, int64_t now) noexcept:
         cdef Py_ssize_t i
@@ -195,7 +209,7 @@ cdef class AlarmState:
         self.last_ns, self.contiguous = now, True
         self.average(restart, evidence / scale, elapsed)
         if self.active:
-            return self.follow(now, evidence, elapsed)
+            return self.follow(now, evidence, scale, elapsed)
         event = self.debounce(now, evidence, scale, elapsed)
         if event == C_RAISED and not self.creeping and change.nats > 0.0 and change.onset_ns > self.ended_ns:
             # The estimate is on its way to a sudden change; the test knows its size before it is certain.
@@ -227,24 +241,24 @@ cdef class AlarmState:
         return change.size < 0.0 or not self.fails_towards_less or evidence >= self.clear
 
     cdef void average(self, bint restart, double evidence, int64_t elapsed) noexcept:
-        """Weighted mean over slow_s of evidence that enters with twice ``slow`` at most."""
-        cdef double limited, keep, least
+        """Move on the means over slow_s, of evidence of twice ``slow`` at most, and of all evidence up to threshold."""
+        cdef double keep
         if restart:
             # An observer that starts anew climbs back to a fault: no growth of the fault. What keeps an alarm active
             # is not forgotten meanwhile, or the alarm would come back as another one.
             if not (self.active and self.creeping):
-                self.mean = 0.0
+                self.forget()
             self.trend.reset()
-        elif elapsed and self.slow < INFINITY:
-            least = -2.0 * self.slow
-            limited = 2.0 * self.slow if 2.0 * self.slow < evidence else evidence
-            # What is no number counts as the least.
-            limited = limited if limited > least else least
+            return
+        if elapsed and self.slow < INFINITY:
             keep = exp(-elapsed / self.slow_ns)
-            self.mean = keep * self.mean + (1.0 - keep) * limited
+            self.mean = keep * self.mean + (1.0 - keep) * limited(evidence, 2.0 * self.slow)
+        if elapsed and self.lasting < INFINITY:
+            self.whole_ns = min(self.whole_ns + elapsed, FLIGHT_NS)
+            self.whole += min(1.0, elapsed / self.whole_ns) * (limited(evidence, self.threshold) - self.whole)
 
     cdef int debounce(self, int64_t now, double evidence, double scale, int64_t elapsed) noexcept:
-        """Raise the alarm by the fast, the plain or the slow path, whichever comes first."""
+        """Raise the alarm by the fast, the plain, the slow or the lasting path, whichever comes first."""
         cdef double size = fabs(evidence) / scale
         self.counter_ns = counted(self.counter_ns, elapsed, size >= self.threshold)
         self.fast_counter_ns = counted(self.fast_counter_ns, elapsed, size >= self.fast)
@@ -254,6 +268,10 @@ cdef class AlarmState:
             return self.raise_alarm(now, evidence, scale * self.threshold, False)
         if fabs(self.mean) >= self.slow:
             return self.raise_alarm(now, self.mean, self.slow, True)
+        if self.whole_ns >= self.lasting_ns and fabs(self.whole) >= self.lasting:
+            self.raise_alarm(now, scale * self.whole, scale * self.lasting, True)
+            self.lasts = True
+            return C_RAISED
         return C_NONE
 
     cdef int raise_alarm(self, int64_t now, double evidence, double size, bint creeping) noexcept:
@@ -267,25 +285,29 @@ cdef class AlarmState:
         self.raised_ns[self.raised_count] = now
         self.raised_count += 1
         self.recurring = self.raised_count == RECURRENCES and 0 <= now - self.raised_ns[0] <= self.latch_ns
-        self.active, self.creeping, self.sudden = True, creeping, False
+        self.active, self.creeping, self.sudden, self.lasts = True, creeping, False, False
         self.critical = fabs(evidence) >= self.critical_size
         self.size, self.shown, self.peak, self.reported, self.reported_ns = size, evidence, evidence, evidence, now
         return C_RAISED
 
-    cdef int follow(self, int64_t now, double evidence, int64_t elapsed) noexcept:
+    cdef int follow(self, int64_t now, double evidence, double scale, int64_t elapsed) noexcept:
         """Update or clear an active alarm."""
         cdef double shown, ahead, moves
-        cdef bint worsens, due, moved
-        # What only the slow path sees is still best described by its mean.
-        self.creeping = self.creeping and fabs(evidence) < self.threshold
-        shown = self.shown = self.mean if self.creeping else evidence
+        cdef bint worsens, due, moved, kept
+        # What only a mean sees is still best described by it.
+        self.creeping = self.creeping and fabs(evidence) < (scale if self.lasts else 1.0) * self.threshold
+        shown = evidence
+        if self.creeping:
+            shown = scale * self.whole if self.lasts else self.mean
+        self.shown = shown
         self.trend.update(shown, elapsed)
         ahead = self.trend.size_in(self.ahead_s) if self.ahead_s > 0 else 0.0
         worsens = not self.critical and (fabs(shown) >= self.critical_size or ahead >= self.critical_size)
         self.critical = self.critical or worsens
         if fabs(shown) > fabs(self.peak):
             self.peak = shown
-        if fabs(evidence) < self.clear and not (self.creeping and fabs(self.mean) >= 0.5 * self.slow):
+        kept = fabs(self.whole) >= 0.5 * self.lasting if self.lasts else fabs(self.mean) >= 0.5 * self.slow
+        if fabs(evidence) < self.clear and not (self.creeping and kept):
             if self.unseen_ns > 0:
                 self.unseen_ns -= elapsed
                 return C_NONE
@@ -294,7 +316,7 @@ cdef class AlarmState:
                 self.active = False
                 self.ended_ns = now
                 self.counter_ns = 0
-                self.mean = 0.0
+                self.forget()
                 return C_CLEARED
             return C_NONE
         self.unseen_ns = 0
@@ -306,6 +328,12 @@ cdef class AlarmState:
             self.reported, self.reported_ns = shown, now
             return C_UPDATED
         return C_NONE
+
+
+cdef inline double limited(double evidence, double most) noexcept:
+    """Evidence of a size of ``most`` at most; what is no number counts as the least."""
+    evidence = most if most < evidence else evidence
+    return evidence if evidence > -most else -most
 
 
 cdef inline int64_t counted(int64_t counter_ns, int64_t elapsed, bint beyond) noexcept:

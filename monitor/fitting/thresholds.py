@@ -2,7 +2,8 @@
 
 Each path of a channel's alarm (fast, plain, slow) asks a statistic of the evidence to exceed a size. The size is the
 level that the statistic exceeds at the path's share of the rate granted to the observer, by extreme-value fit over
-healthy flights (:mod:`monitor.fitting.extremes`), and never below a floor: the smallest fault that the model is good
+healthy flights (:mod:`monitor.fitting.extremes`), of the lasting path by the scatter of their means
+(:mod:`monitor.fitting.lasting`), and never below a floor: the smallest fault that the model is good
 enough to speak about. The confidence limits of the level are reported: minutes of flight leave them wide.
 """
 
@@ -22,6 +23,7 @@ from monitor.core.sampling import VehicleClock
 from monitor.estimation.isolation_rule import edge_faults
 from monitor.fitting.extremes import ReturnLevel, return_level, standing
 from monitor.fitting.flights import Flight
+from monitor.fitting.lasting import Scatter
 from monitor.profile import ObserverProfile
 from monitor.sampling.gate import GateRule
 
@@ -31,7 +33,7 @@ extrapolate further beyond minutes of healthy flight and raise every threshold."
 CONFIDENCE = 0.95
 """Of what healthy flights exclude, whatever the law of their extremes. Chosen: the usual one."""
 _PATHS = 3
-"""Fast, plain and slow: each gets a third of a channel's rate."""
+"""Fast, plain and slow: each gets a third of a channel's rate, and lasting, where there is no sudden path, as much."""
 _USUAL = 0.9
 """Share of healthy evidence inside the size that clears an alarm, at least: the debounce then counts up four fifths of
 the time, and 0.5 s of quiet are counted in 0.63 s. Half of a threshold near the noise is met half of the time."""
@@ -76,6 +78,8 @@ class Calibrated:
     # the likelihood of sudden changes in healthy flight, and how many channels share it
     sudden: ReturnLevel | None = None
     sharing: int = 1
+    scatter: Scatter | None = None  # that of healthy flights' means, per ``mean_scale``
+    mean_scale: float = 1.0
 
     def rated(self, flight_s: float) -> AlarmRule:
         """Return the rule with its rate of false alarms: what is expected, and what flights of that length exclude.
@@ -92,6 +96,8 @@ class Calibrated:
         per_hour = sum(level.per_hour(size / self.scale) for level, size in sizes if math.isfinite(size))
         if self.sudden is not None:
             per_hour += self.sudden.per_hour(rule.nats) / self.sharing
+        if self.scatter is not None:
+            per_hour += self.scatter.per_hour(rule.lasting / self.mean_scale)
         excluded = 100.0 * -math.log(1.0 - CONFIDENCE) / (flight_s / 3600.0)
         expected = max(100.0 * per_hour, _LEAST_PER_100H)
         return replace(rule, false_per_100h=float(f"{expected:.2g}"), excluded_per_100h=float(f"{excluded:.2g}"))
@@ -198,6 +204,16 @@ def calibrated(
         scale,
         levels,
     )
+
+
+def with_lasting(
+    found: Calibrated, scatter: Scatter, scale: float, *, floor: float, alarms_per_hour: float
+) -> Calibrated:
+    """Return the alarm with its lasting path, where that sees less than the slow one."""
+    size = max(scale * scatter.level(alarms_per_hour / _PATHS), floor)
+    if size >= found.rule.slow:
+        return found
+    return replace(found, rule=replace(found.rule, lasting=_rounded(size)), scatter=scatter, mean_scale=scale)
 
 
 def plain_only(found: Calibrated) -> Calibrated:

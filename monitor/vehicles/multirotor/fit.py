@@ -35,6 +35,7 @@ from monitor.fitting.fit_report import (
 )
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_alarm
 from monitor.fitting.flights import Flight, flight_samples
+from monitor.fitting.lasting import Scatter, scatter
 from monitor.fitting.spread import fit_spread
 from monitor.fitting.survey import MOTOR_MESSAGE, Survey, common_rate_hz
 from monitor.fitting.thresholds import (
@@ -45,7 +46,9 @@ from monitor.fitting.thresholds import (
     calibrated,
     healthy_evidence,
     healthy_levels,
+    healthy_runs,
     plain_only,
+    with_lasting,
 )
 from monitor.profile import FaultChannel, ObserverProfile
 from monitor.sampling.gate import GateRule
@@ -261,7 +264,8 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     bare = replace(bare, excitation=_excitation(bare.profile(), gate, identified, hover))
     evidence = healthy_evidence(bare.profile(), gate, identified.flights)
     changes, nats = _changes(plant, channels, identified)
-    alarms = _alarms(drive.observer, channels, evidence, hover, identified, rule.score_floor, nats)
+    lasting = None if nats is not None else _lasting(bare.profile(), gate, identified, hover)
+    alarms = _alarms(drive.observer, channels, evidence, hover, identified, rule.score_floor, nats, lasting)
     _check_watched(motors, hover.tolist(), alarms)
     commands = motor_commands(surveys)
     ranges = (
@@ -502,6 +506,19 @@ def _changes(
     return changes, healthy_nats(plant, identified.model.rate_hz, channels, changes, flights, share)
 
 
+def _lasting(
+    observer: ObserverProfile, gate: GateRule, identified: _Identified, hover: NDArray[np.float64]
+) -> tuple[Scatter, float]:
+    """Return how the means of healthy flights scatter, and how many times its size evidence has to reach in them."""
+    motors = [place for place, channel in enumerate(observer.faults) if channel.input is not None]
+    flights, scales = [], []
+    for run, stretches in healthy_runs(observer, gate, identified.flights):
+        rows = np.concatenate([np.arange(found.start, found.stop) for found in stretches or [slice(0, 0)]])
+        flights.append(run.smoothed[rows][:, motors] / hover)
+        scales.append(run.scale[rows][:, motors])
+    return scatter(flights, identified.model.rate_hz), float(np.concatenate(scales).mean())
+
+
 def _alarms(
     observer: str,
     channels: Sequence[FaultChannel],
@@ -510,6 +527,7 @@ def _alarms(
     identified: _Identified,
     score_floor: float,
     nats: ReturnLevel | None,
+    lasting: tuple[Scatter, float] | None,
 ) -> list[Calibrated]:
     """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and what nothing explains.
 
@@ -534,6 +552,9 @@ def _alarms(
             if nats is not None:
                 bare = replace(bare, nats=nats.level, least=float(f"{floor:.4g}"))
             found = calibrated(bare, of_motors, command, floor=floor, critical=critical, times=identified.times)
+            if lasting is not None:
+                means, usual = lasting
+                found = with_lasting(found, means, command / usual, floor=floor / usual, alarms_per_hour=share)
             alarms.append(replace(found, sudden=nats, sharing=len(commands) - len(gyros)))
         elif of_gyros is not None:
             jump = calibrated(bare, of_gyros, 1.0, floor=_SMALLEST_JUMP, critical=4 * _SMALLEST_JUMP, times=_JUMP)
