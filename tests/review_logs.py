@@ -8,6 +8,7 @@ from math import cos, radians, sin
 from pathlib import Path
 
 from dataflash_writer import DataflashWriter
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from ulog_writer import UlogWriter
 
 END_S = 60.0
@@ -202,4 +203,32 @@ def ardupilot_log(
         log.add("PSCE", stamp, 0.0, 0.0)
         log.add("VIBE", stamp, 0, flight.vibration(at), 0.0, 0.0, flight.clipped(at))
     path.write_bytes(log.data)
+    return path
+
+
+def telemetry(path: Path, flight: Flight, period_s: float = 0.25, first_output: int = 1, drift_m: float = 0.0) -> Path:
+    """Write a flight of ArduPilot as a ground station records it, its motors on four outputs from ``first_output`` on.
+
+    ``drift_m`` is by how much the barometer drifts until the vehicle arms.
+    """
+    packer = mavlink.MAVLink(None, 1, 1)
+    packets = []
+    for number in range(4):
+        name = f"SERVO{first_output + number}_FUNCTION".encode()
+        packets.append((0.0, mavlink.MAVLink_param_value_message(name, 33.0 + number, 9, 4, number)))
+    for tick in range(int(flight.end_s / period_s)):
+        at = tick * period_s
+        pulses = [0] * 16
+        pulses[first_output - 1 : first_output + 3] = (round(1000 + 1000 * share) for share in flight.motors(at))
+        roll = [radians(flight.tilt_deg(at)), *[0.0] * 5]
+        metres = flight.height(at) + drift_m * min(at, 1.0)
+        armed = 128 * flight.armed(at) + 1
+        packets += [
+            (at, mavlink.MAVLink_heartbeat_message(2, 3, armed, flight.mode, 4, 3)),
+            (at, mavlink.MAVLink_attitude_message(round(1000 * at), *roll)),
+            (at, mavlink.MAVLink_scaled_pressure_message(round(1000 * at), 1013.25 - metres / 8.43, 0.0, 2000)),
+            (at, mavlink.MAVLink_servo_output_raw_message(round(1e6 * at), 0, *pulses)),
+        ]
+    written = ((round(1e6 * at) + 1_795_251_917_000_000).to_bytes(8) + said.pack(packer) for at, said in packets)
+    path.write_bytes(b"".join(written))
     return path

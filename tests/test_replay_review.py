@@ -19,12 +19,14 @@ from review_logs import (
     Flight,
     ardupilot_log,
     px4_log,
+    telemetry,
     usual_height,
     usual_motors,
 )
 from synthetic_run import START_NS, event
 
 import fauio
+from monitor.alarms.command_watch import CommandSent
 from replay.review import learning
 from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
 from replay.review.review import LogReview, judged, review_log
@@ -70,6 +72,12 @@ def speeds(number: int = 0, start: float = 30.0, end: float = 33.0) -> Callable[
 
 def turning(at: float) -> bool:
     return usual_motors(at)[0] > 0
+
+
+def yawing(at: float) -> list[float]:
+    """Return commands of two motors that go up while those of the others go down, and back again."""
+    more = 0.36 * ((30.0 <= at < 32.0) - 1.0 * (35.0 <= at < 37.0))
+    return [share and share + sign * more for share, sign in zip(usual_motors(at), (1, 1, -1, -1), strict=True)]
 
 
 def between(start: float, end: float, inside: float, outside: float) -> Callable[[float], float]:
@@ -151,6 +159,10 @@ LOOK_ALIKES: dict[str, Flight] = {
     "a large propeller that runs down to idle": Flight(
         rpm=lambda at: [1200.0 if 30.0 <= at < 33.0 else 8000.0 * turning(at), *[8000.0 * turning(at)] * 3],
         motors=one_motor(1, 0.15, 30.0, 33.0),
+    ),
+    "ESCs with numbers of their own": Flight(
+        rpm=lambda at: [12000.0 * share**0.5 for share in (yawing(at) * 2)[2:6]],
+        motors=yawing,
     ),
     "all speeds lower at lower commands": Flight(
         rpm=lambda at: [8000.0 * (share / HOVER) ** 0.5 for share in one_motor(2, 0.1, 30.0, 33.0)(at)],
@@ -424,7 +436,7 @@ def test_what_the_log_lacks_is_said(tmp_path: Path) -> None:
 
 def test_a_log_without_a_flight_is_not_judged(tmp_path: Path) -> None:
     review = rules_on(px4_log(tmp_path / "flight.ulg", Flight(armed=lambda _: False, motors=lambda _: [0.0] * 4)))
-    assert review.sentence == "The log shows no flight: nothing was judged."
+    assert review.sentence == "The log shows no flight, it was never armed: nothing was judged."
     assert not review.watched
 
 
@@ -444,6 +456,42 @@ def test_a_log_of_ardupilot_that_begins_in_the_air_shows_a_flight(tmp_path: Path
     )
     review = rules_on(ardupilot_log(tmp_path / "flight.bin", flight, landed_at_begin=False))
     assert review.facts.flight[0] == (0.0, pytest.approx(LANDING_S))
+
+
+@pytest.mark.parametrize("first_output", [1, 9])
+def test_motors_are_on_the_outputs_that_the_parameters_say(first_output: int, tmp_path: Path) -> None:
+    log = telemetry(tmp_path / "flight.tlog", CASES["motor_at_limit"], first_output=first_output)
+    review = rules_on(log)
+    assert names(review) == ["motor_at_limit"]
+    assert "motor3 was at full command" in review.sentence
+
+
+def test_a_height_that_drifted_before_the_vehicle_armed_is_no_flight(tmp_path: Path) -> None:
+    """A copter that is held on the ground lets its controllers run to their ends."""
+    flight = Flight(
+        height=lambda _: 0.0,
+        motors=lambda at: [0.97, 0.9, 0.2, 0.2] if at > 5.0 else [0.0] * 4,
+        armed=lambda at: 4.0 <= at < DISARM_S,
+    )
+    review = rules_on(telemetry(tmp_path / "flight.tlog", flight, drift_m=2.5))
+    assert review.sentence == "The log shows no flight, it was armed for 53 s on the ground: nothing was judged."
+
+
+@pytest.mark.parametrize(("period_s", "found"), [(0.5, ["motor_command_stopped"]), (2.3, [])])
+def test_one_sample_does_not_say_how_long_a_motor_was_stopped(
+    period_s: float, found: list[str], tmp_path: Path
+) -> None:
+    flight = Flight(motors=one_motor(2, 0.0, 30.0, 32.2))
+    assert names(rules_on(telemetry(tmp_path / "flight.tlog", flight, period_s))) == found
+
+
+def test_a_rover_may_be_disarmed_by_anybody() -> None:
+    facts = LogFacts("PX4", "rover", 0, 60.0, ((1.0, 60.0),), ((1.0, 60.0),), {})
+    facts = replace(
+        facts, commands=(CommandSent(0.5, 1, 191, "400", (1.0,)), CommandSent(59.0, 255, 190, "400", (0.0,)))
+    )
+    assert not judged(Path("rover.ulg"), facts).wrong
+    assert judged(Path("copter.ulg"), replace(facts, vehicle="multirotor")).wrong
 
 
 def test_a_plane_whose_log_has_no_barometer_flies_by_its_receivers_height(tmp_path: Path) -> None:

@@ -59,7 +59,9 @@ class LogReview:
         """The verdict in one sentence."""
         first = self.first
         if not self.facts.flight:
-            return "The log shows no flight: nothing was judged."
+            armed_s = sum(end - start for start, end in self.facts.armed)
+            why = f"it was armed for {armed_s:.0f} s on the ground" if armed_s else "it was never armed"
+            return f"The log shows no flight, {why}: nothing was judged."
         if first is None:
             watched = f"{len(self.watched)} of {len(self.watched) + len(self.unjudged)} findings could be looked for"
             return f"Nothing wrong found in {self.facts.flight_s:.0f} s of flight; {watched}."

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 _PX4_ROTORS = 12
 """``CA_ROTOR0`` to ``CA_ROTOR11``: as many as PX4's control allocation has."""
-_MOTOR_FUNCTIONS = {**{33 + i: i for i in range(8)}, **{82 + i: 8 + i for i in range(4)}}
+MOTOR_FUNCTIONS = {**{33 + i: i for i in range(8)}, **{82 + i: 8 + i for i in range(4)}}
 """ArduPilot's SERVOn_FUNCTION of motors 1 to 12, and their index from 0."""
 _PX4_FUNCTIONS = {101 + i: i for i in range(_PX4_ROTORS)}
 """PX4's PWM_MAIN_FUNCn (and those of other drivers) of motors 1 to 12, and their index from 0."""
@@ -80,7 +80,7 @@ def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame |
     if standard is None:
         return None
     name, motors = standard
-    functions = {n: _MOTOR_FUNCTIONS.get(int(parameters.get(f"SERVO{n}_FUNCTION", -1)), n - 1) for n in outputs}
+    functions = {n: MOTOR_FUNCTIONS.get(int(parameters.get(f"SERVO{n}_FUNCTION", -1)), n - 1) for n in outputs}
     return _chosen(name, _effects(motors), [functions[n] for n in outputs])
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from adapters.mavlink.heartbeat import ARDUPILOT, mode_name
 from monitor.alarms.command_watch import CommandSent
+from monitor.vehicles.multirotor.frames import MOTOR_FUNCTIONS
 from replay.review.facts.log_facts import (
     ANGLES,
     NO_SIGNAL,
@@ -16,6 +18,7 @@ from replay.review.facts.log_facts import (
     LogFacts,
     LogRecords,
     LogSignal,
+    Spans,
     Statement,
     first_known,
     inside,
@@ -44,8 +47,6 @@ _SUBSYSTEMS = {
 }  # fmt: skip
 _NO_FAILSAFE = frozenset({10, 13, 20, 22, 23})
 """Of a mode that was refused, a flip, other aircraft, navigation and terrain: nothing of the vehicle's health."""
-_MOTOR_FUNCTIONS = (*range(33, 41), *range(82, 86))
-"""Values of SERVOn_FUNCTION that are motors 1 to 12 (SRV_Channel.h)."""
 _VEHICLES = {"Copter": ("multirotor", 2), "Plane": ("plane", 1), "Rover": ("rover", 10)}
 """By a word of what the log begins with: the vehicle, and a MAV_TYPE that has its modes."""
 _PWM_FROM, _PWM_TO = 1000.0, 2000.0
@@ -76,7 +77,8 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     vehicle, kind = next((known for _, text in texts for word, known in _VEHICLES.items() if word in text), ("", 0))
     signals: dict[str, LogSignal] = {}
     lacks: dict[str, str] = {}
-    signals["motors"] = _motors(records, armed) if vehicle in ("", "multirotor") else NO_SIGNAL
+    if vehicle in ("", "multirotor"):
+        signals["motors"] = output_commands(records, armed, partial(_outputs, records), 4)
     signals["rpm"] = _rpm(records)
     signals["attitude"] = get("ATT", ["Roll", "Pitch", "Yaw"], ANGLES, "deg")
     signals["attitude_wanted"] = get("ATT", ["DesRoll", "DesPitch", "DesYaw"], ANGLES, "deg")
@@ -86,7 +88,7 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     signals["position_apart"] = _position_apart(records, kalman, texts)
     # planes do not log when they take off
     received = get("GPS", ["Alt"], ["receiver"], "m").above_begin()
-    lifted = off_ground(signals["height"], received)
+    lifted = off_ground(armed, signals["height"], received)
     air = state_spans(landing, end_s, state=False) if landing else lifted
     flight = overlap(air, armed)
     signals["climb"] = get(f"{kalman}1", ["VD"], ["climb"], "m/s", -1.0)
@@ -114,23 +116,28 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     )  # fmt: skip
 
 
-def _motors(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSignal:
-    """Return the commands of the outputs that the parameters say are motors, else of the first that move together."""
-    outputs = [k for k in range(1, _OUTPUTS + 1) if records.parameters.get(f"SERVO{k}_FUNCTION") in _MOTOR_FUNCTIONS]
+def output_commands(
+    records: LogRecords, armed: Spans, outputs: Callable[[Sequence[int], Sequence[str]], LogSignal], first: int
+) -> LogSignal:
+    """Return the commands of the outputs that the parameters say are motors, else of the first ones where all move.
+
+    ``outputs`` returns the pulses of some outputs by their numbers, under some names.
+    """
+    said = {k: records.parameters.get(f"SERVO{k}_FUNCTION") for k in range(1, _OUTPUTS + 1)}
+    motors = {k: MOTOR_FUNCTIONS[int(function)] for k, function in said.items() if function in MOTOR_FUNCTIONS}
+    numbers = motors or {k: k - 1 for k in range(1, first + 1)}
     low = records.parameters.get("MOT_PWM_MIN", 0.0) or _PWM_FROM
     high = records.parameters.get("MOT_PWM_MAX", 0.0) or _PWM_TO
-    commands = _outputs(records, outputs or range(1, 5))
-    if not outputs:
-        during = commands.values[inside(commands.time_s, armed)]
-        if not len(during) or not np.ptp(during, axis=0).all():
-            return NO_SIGNAL
-    return replace(commands, values=np.maximum(commands.values - low, 0.0) / (high - low))
+    pulses = outputs(list(numbers), [f"motor{index + 1}" for index in numbers.values()])
+    during = pulses.values[inside(pulses.time_s, armed)]
+    if not motors and not (len(during) and np.ptp(during, axis=0).all()):
+        return NO_SIGNAL
+    return replace(pulses, values=np.maximum(pulses.values - low, 0.0) / (high - low), unit="of full")
 
 
-def _outputs(records: LogRecords, numbers: Sequence[int]) -> LogSignal:
+def _outputs(records: LogRecords, numbers: Sequence[int], names: Sequence[str]) -> LogSignal:
     """Return some outputs, whatever the version of the autopilot calls them."""
-    names = [f"motor{k}" for k in numbers]
-    known = (records.signal("RCOU", [f"{word}{k}" for k in numbers], names, "of full") for word in _OUTPUT_WORDS)
+    known = (records.signal("RCOU", [f"{word}{k}" for k in numbers], names, "us") for word in _OUTPUT_WORDS)
     return first_known(*known)
 
 

@@ -19,6 +19,8 @@ from monitor.vehicles.kinds import KINDS
 Floats = NDArray[np.float64]
 Changes = Sequence[tuple[float, float]]
 """When a value changed, and to what."""
+Spans = Sequence[tuple[float, float]]
+"""From when to when something was so, in order."""
 ANGLES = ("roll", "pitch", "yaw")
 
 
@@ -207,22 +209,32 @@ def inside(time_s: Floats, spans: Iterable[tuple[float, float]]) -> NDArray[np.b
 
 
 def spans_where(time_s: Floats, holds: NDArray[np.bool_], least_s: float = 0.0) -> list[tuple[float, float]]:
-    """Return from when to when a condition held for n samples without a break, where that is long enough."""
+    """Return from when to when a condition held for n samples without a break, where that is long enough.
+
+    One sample alone does not say how long.
+    """
     if not len(time_s):
         return []
     edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]]).astype(np.int8)))
     last = len(time_s) - 1
-    spans = ((float(time_s[a]), float(time_s[min(b, last)])) for a, b in zip(edges[::2], edges[1::2], strict=True))
+    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    spans = ((float(time_s[a]), float(time_s[min(b, last)])) for a, b in runs if b - a > 1 or not least_s)
     return [(start, end) for start, end in spans if end - start >= least_s]
 
 
-def off_ground(height: LogSignal, receiver: LogSignal | None = None) -> list[tuple[float, float]]:
-    """Return when a vehicle flew whose log does not say it, by its height above where the log begins.
+def off_ground(armed: Spans, height: LogSignal, receiver: LogSignal = NO_SIGNAL) -> list[tuple[float, float]]:
+    """Return when a vehicle flew whose log does not say it, by its height above where it armed.
 
     That of its ``receiver`` counts where there is no other.
     """
-    known, lifted = (receiver, _LIFTED_BY_GPS) if receiver and not height else (height, _LIFTED)
-    return spans_where(known.time_s, known.only > lifted, 2.0)
+    known, lifted = (height, _LIFTED) if height or not receiver else (receiver, _LIFTED_BY_GPS)
+    spans: list[tuple[float, float]] = []
+    for start, end in armed:
+        flown = known.during(start, end)
+        ground = known.during(start - _BEGIN_S, start) or known.during(start, start + _BEGIN_S)
+        above = flown.only - np.median(ground.only) if ground else flown.only
+        spans += spans_where(flown.time_s, above > lifted, 2.0)
+    return spans
 
 
 def flown(facts: LogFacts) -> list[tuple[float, float]]:

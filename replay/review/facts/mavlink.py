@@ -9,6 +9,7 @@ import numpy as np
 
 from adapters.mavlink.heartbeat import ARDUPILOT, PX4, mode_name
 from monitor.alarms.command_watch import COMMANDS, CommandSent, command_sent
+from replay.review.facts.ardupilot import output_commands
 from replay.review.facts.log_facts import (
     ANGLES,
     LogFacts,
@@ -36,8 +37,6 @@ _NO_AUTOPILOT, _ARMED, _ON_GROUND = 8, 128, 1
 _KINDS = {1: "plane", 10: "rover", 11: "rover"}
 """Of MAV_TYPE, beside multirotors: fixed wing, ground rover, boat."""
 _AUTOPILOTS = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
-_PWM_FROM, _PWM_SPAN = 1000.0, 1000.0
-"""Pulses of motors: 1000 to 2000 us unless configured otherwise, which telemetry does not say."""
 _MILLI = 1e-3
 _HECTOPASCAL_M = 8.43
 """Metres of height of a hectopascal at sea level: R T / (g M p) at 15 degrees and 1013.25 hPa."""
@@ -68,13 +67,15 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         landing = landed.changes(lambda state: state == _ON_GROUND)
         air = state_spans(landing, end_s, state=False)
     else:
-        air = off_ground(first_known(signals["height_estimate"], signals["height"]))
+        air = off_ground(armed, first_known(signals["height_estimate"], signals["height"]))
     flight = overlap(air, armed)
     rotors = _ROTORS.get(kind, 0)
     if rotors:
-        outputs = [f"servo{k}_raw" for k in range(1, rotors + 1)]
-        motors = get("SERVO_OUTPUT_RAW", outputs, [f"motor{k}" for k in range(1, rotors + 1)], "of full")
-        signals["motors"] = replace(motors, values=np.maximum(motors.values - _PWM_FROM, 0.0) / _PWM_SPAN)
+
+        def outputs(numbers: Sequence[int], names: Sequence[str]) -> LogSignal:
+            return get("SERVO_OUTPUT_RAW", [f"servo{k}_raw" for k in numbers], names, "us")
+
+        signals["motors"] = output_commands(records, armed, outputs, rotors)
     signals["attitude"] = get("ATTITUDE", ANGLES, ANGLES, "deg", float(np.degrees(1.0)))
     turned = get("ATTITUDE_TARGET", [f"q[{k}]" for k in range(4)], [f"q{k}" for k in range(4)], "")
     signals["attitude_wanted"] = turned.angles_deg()

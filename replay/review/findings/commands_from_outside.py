@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from monitor.alarms.command_watch import FLOOD, CommandWatch
+from monitor.alarms.command_watch import FLOOD, CommandWatch, ends_flight
 from replay.review.facts.log_facts import LogFacts
 from replay.review.findings.rule import Judgement, Rule
 
@@ -19,7 +19,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             if said.kind == "flood":
                 flood_s = command.time_s if flood_s is None else flood_s
                 continue
-            known = sorted(watch.known)
+            known, ends = sorted(watch.known), ends_flight(command.name, command.values)
             yield Judgement(
                 start_s=command.time_s,
                 end_s=command.time_s,
@@ -30,7 +30,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 ),
                 counter=(f"commands before take-off came from {known or 'nobody'}",),
                 confidence="likely" if known else "possible",
-                weight=said.weight,
+                # what falls from nowhere is disarmed at each drive's end, by whoever has it at hand
+                weight=said.weight if facts.flies or not ends else "information",
             )
     if flood_s is not None:
         yield Judgement(
@@ -52,6 +53,7 @@ RULE = Rule(
     f"{FLOOD} commands a second",
     counter=(
         "a second ground station that was switched on in flight looks the same",
+        "on the ground a disarming ends every drive: of vehicles that do not fly it is information alone",
         "missions and parameters of a ground station come with an answer to each, and slower than a flood",
         "a sender that uses the ids of the ground station is not seen: signing alone tells it apart",
     ),
