@@ -12,9 +12,7 @@ from adapters.encoding.record import Record
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import ONBOARD_LOG
 from monitor.recording.record_encoder import RecordEncoder
-
-# a file has no more than so many
-_NO_CHANNEL = 0
+from monitor.recording.recorder import Channels, add_records, recordable
 
 
 def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboard: str | None = None) -> int:
@@ -34,19 +32,10 @@ def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboar
         kind = {} if onboard is None else {ONBOARD_LOG: onboard}
         writer.add_metadata("fauio", {"fauio": version("fauio"), "converted_from": source, **kind})
         encoder = RecordEncoder(())
-        channels: dict[int, int] = {}
+        channels: Channels = {}
         for entry in chain(first, remaining):
             if isinstance(entry, Record):
                 writer.write_record(entry)
                 continue
-            records = encoder.batch(entry)
-            for number in {number for number, _, _ in records} - channels.keys():
-                topic = encoder.topics[number]
-                channels[number] = writer.channel(topic.name, topic.encoding, topic.schema) or _NO_CHANNEL
-            kept = [record for record in records if channels[record[0]] != _NO_CHANNEL]
-            writer.add_all(
-                [channels[number] for number, _, _ in kept],
-                [data for _, data, _ in kept],
-                [time_ns for _, _, time_ns in kept],
-            )
+            add_records(writer, recordable(writer, encoder.batch(entry), encoder.topics, channels), channels)
         return writer.statistics().records

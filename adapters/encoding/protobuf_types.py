@@ -94,7 +94,8 @@ def class_from_schema(schema: Schema) -> Any:
         raise ValueError(f"schema of {schema.name} cannot be used: {error}") from error
 
 
-def identifiers(names: Sequence[str]) -> tuple[str, ...]:
+@functools.lru_cache(maxsize=4096)
+def identifiers(names: tuple[str, ...]) -> tuple[str, ...]:
     """Return a distinct protobuf identifier for each name, the name itself where it is one.
 
     Other characters become underscores; two names that would fall together, also in the lower camel case

@@ -107,25 +107,25 @@ class UlogReader(OnboardLogReader):
         }
 
     def _chain(self, window: Window, records: Records) -> None:
-        data, at, heads = window.data, window.at, self._heads
+        data, at, known_by = window.data, window.at, self._heads.get
+        head_size = _DATA_HEAD.size
         end = len(data) if not self._appended else min(len(data), window.index(self._appended[0]))
-        start, kind = records.start, records.kind
+        add_start, add_kind = records.start.append, records.kind.append
         count = 0
         while True:
-            head = data[at : at + _DATA_HEAD.size]
-            known = heads.get(head)
+            fields_at = at + head_size
+            head = data[at:fields_at]
+            known = known_by(head) or self._known(head)
             if known is None:
-                known = self._known(head)
-                if known is None:
-                    break
+                break
             length, wanted = known
             behind = at + length
             if behind > end:
                 break
             count += 1
             if wanted is not None:
-                start.append(at + _DATA_HEAD.size)
-                kind.append(wanted)
+                add_start(fields_at)
+                add_kind(wanted)
             at = behind
         self._records += count
         window.at = at

@@ -94,7 +94,7 @@ def _types(layout: Layout) -> tuple[_RowType, _RowType]:
     return _RowType(layout, "Sample", (*u_y, *flags)), _RowType(layout, "Estimate", estimate)
 
 
-def _numbers(names: Sequence[str]) -> tuple[Field, ...]:
+def _numbers(names: tuple[str, ...]) -> tuple[Field, ...]:
     return tuple(Field(name, "double") for name in identifiers(names))
 
 

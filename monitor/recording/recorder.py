@@ -57,8 +57,10 @@ def start_log(
     return log
 
 
-Channels: TypeAlias = dict[int, int | None]
-"""The channels of a file by the numbers of topics; None: it has no room for more topics."""
+Channels: TypeAlias = dict[int, int]
+"""The channels of a file, counted from 1, by the numbers of topics."""
+_NO_CHANNEL = 0
+"""Of a topic that the file has no room for."""
 
 
 def most_bytes(records: Sequence[EncodedRecord], topics: Sequence[Topic], channels: Channels) -> int:
@@ -74,14 +76,16 @@ def recordable(
     """Add the channels that records need to a file; return the records that it has room for."""
     for number in {number for number, _, _ in records} - channels.keys():
         topic = topics[number]
-        channels[number] = log.channel(topic.name, topic.encoding, topic.schema)
-    return [record for record in records if channels[record[0]] is not None] if None in channels.values() else records
+        channels[number] = log.channel(topic.name, topic.encoding, topic.schema) or _NO_CHANNEL
+    if _NO_CHANNEL not in channels.values():
+        return records
+    return [record for record in records if channels[record[0]] != _NO_CHANNEL]
 
 
 def add_records(log: MessageLogWriter, records: Sequence[EncodedRecord], channels: Channels) -> None:
     """Give records that are :func:`recordable` to a file, all at once."""
     log.add_all(
-        [channels[number] or 0 for number, _, _ in records],
+        [channels[number] for number, _, _ in records],
         [data for _, data, _ in records],
         [time_ns for _, _, time_ns in records],
     )
