@@ -7,6 +7,7 @@ import logging
 import queue
 import threading
 import time
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
@@ -79,8 +80,10 @@ class VehicleService:
         self._election: Election | None = None
         self._others: AlarmSubscriber | None = None
         self._root = vehicle_root(config.prefix, monitor.name)
-        # all of the monotonic clock
-        self._status_ns = self._flushed_ns = self._decided_ns = time.monotonic_ns()
+        # All of the monotonic clock. What all do as often each vehicle does at a moment of its own, by its name:
+        # at once they would keep the loop, and by their threads Python's lock, from alarms.
+        self._decided_ns = time.monotonic_ns()
+        self._status_ns = self._flushed_ns = self._decided_ns - zlib.crc32(monitor.name.encode()) % STATUS_NS
         now_ns = time.time_ns()
         monitor.process(pack([rules_message(desk, monitor.pipeline.profile, now_ns)]))
         if config.standby.enabled:
@@ -108,10 +111,10 @@ class VehicleService:
         if self._operators is not None:
             self._answer(self._operators)
         if steady_ns - self._flushed_ns >= _FLUSH_NS:
-            self._flushed_ns = steady_ns
+            self._flushed_ns = steady_ns - (steady_ns - self._flushed_ns) % _FLUSH_NS
             self.monitor.flush()
         if steady_ns - self._status_ns >= STATUS_NS:
-            self._status_ns = steady_ns
+            self._status_ns = steady_ns - (steady_ns - self._status_ns) % STATUS_NS
             trouble = None if self.archive is None else self.archive.statistics().trouble
             self.last_status = self.monitor.status(now_ns, [*troubles, *([trouble] if trouble else [])], self._links())
 
