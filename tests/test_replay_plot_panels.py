@@ -34,12 +34,9 @@ ALARMS = [
 
 
 def figure(traces: Sequence[Trace], events: Sequence[AlarmEvent] = (), truth: TrueSizes | None = None) -> Figure:
-    """Return a run's page, laid out."""
+    """Return a run's page."""
     with rc_context(STYLE):
-        run = RunView(traces, events, BOTH_THRESHOLDS, truth or {})
-        drawn = run_figure(run, "a run", LIGHT)
-        drawn.canvas.draw()
-    return drawn
+        return run_figure(RunView(traces, events, BOTH_THRESHOLDS, truth or {}), "a run", LIGHT)
 
 
 def texts(drawn: Figure) -> list[tuple[str, Bbox]]:
@@ -65,6 +62,8 @@ def everything() -> Figure:
 @pytest.mark.long
 def test_no_text_overlaps_another_or_leaves_the_page() -> None:
     drawn = everything()
+    with rc_context(STYLE):
+        drawn.canvas.draw()
     page = drawn.bbox
     for words, place in texts(drawn):
         assert page.x0 <= place.x0, words
