@@ -6,9 +6,6 @@ import gzip
 import io
 import json
 import lzma
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -145,38 +142,6 @@ def test_writing_after_close_names_the_mistake(tmp_path: Path) -> None:
     log.flush()
     with pytest.raises(RuntimeError, match="closed"):
         log.write(attitude(1))
-
-
-def test_everything_flushed_survives_sigkill(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    program = """
-import sys
-from adapters.logs.mcap_log import MessageLogWriter
-from adapters.message import Message
-from adapters.source import MAVLINK, ZENOH
-log = MessageLogWriter(sys.argv[1])
-number = 0
-while True:
-    for _ in range(500):
-        fields = {"time_unix_usec": 1, "time_boot_ms": number}
-        log.write(Message(MAVLINK, "SYSTEM_TIME", 1 + number, fields, 1, 1))
-        log.write(Message(ZENOH, "k", 1 + number, {"number": number}))
-        number += 1
-    log.flush()
-    print(number, flush=True)
-"""
-    with subprocess.Popen([sys.executable, "-c", program, path], stdout=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        flushed = [int(child.stdout.readline()) for _ in range(20)][-1]
-        child.send_signal(signal.SIGKILL)
-        child.wait()
-        flushed = max([flushed, *map(int, child.stdout.read().split())])
-    reader = MessageLogReader(path)
-    messages = list(reader)
-    assert len(messages) >= 2 * flushed
-    assert [message.received_ns for message in messages[::2]] == list(range(1, 1 + len(messages[::2])))
-    assert reader.scan.stopped_at is not None
-    assert reader.scan.damaged_chunks == 0
 
 
 def test_a_truncated_log_gives_every_message_of_its_whole_chunks(tmp_path: Path) -> None:

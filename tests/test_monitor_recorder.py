@@ -236,12 +236,14 @@ def test_everything_flushed_survives_sigkill_on_every_topic(tmp_path: Path) -> N
     program = """
 import sys
 sys.path.insert(0, sys.argv[2])
-from test_monitor_recorder import LAYOUT, START_NS, ZENOH, Log, Message, estimates, event
+from test_monitor_recorder import LAYOUT, MAVLINK, START_NS, ZENOH, Log, Message, estimates, event
 recorder = Log(sys.argv[1], [LAYOUT], {"profile": "abc"}, {"profile.toml": b"x = 1"})
 number = 0
 while True:
     for _ in range(100):
         recorder.write(Message(ZENOH, "k", START_NS + number, {"n": number}))
+        fields = {"time_unix_usec": 1, "time_boot_ms": number}
+        recorder.write(Message(MAVLINK, "SYSTEM_TIME", START_NS + number, fields, 1, 1))
         recorder.estimates(estimates(number))
         recorder.event(event(number))
         number += 1
@@ -257,8 +259,12 @@ while True:
         flushed = max([flushed, *map(int, child.stdout.read().split())])
     reader = MessageLogReader(path)
     messages = list(reader)
-    assert [message.fields["n"] for message in messages] == list(range(len(messages)))
-    assert len(messages) >= flushed
+    for name, field in (("k", "n"), ("SYSTEM_TIME", "time_boot_ms")):
+        numbers = [message.fields[field] for message in messages if message.name == name]
+        assert numbers == list(range(len(numbers)))
+        assert len(numbers) >= flushed
+    assert reader.scan.stopped_at is not None
+    assert reader.scan.damaged_chunks == 0
     assert reader.other_records >= 4 * flushed
     assert read_mcap_metadata(path) == {"fauio": {"profile": "abc"}}
     with path.open("rb") as stream:
