@@ -41,7 +41,8 @@ def rms_after(loop: Run, start_s: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("case", "start_s", "stop_s", "factor"), [("case2", 10.0, 14.0, 20.0), ("case3", 15.0, 18.0, 20.0)]
+    ("case", "start_s", "stop_s", "factor"),
+    [("case2", 10.0, 14.0, 20.0), pytest.param("case3", 15.0, 18.0, 20.0, marks=pytest.mark.long)],
 )
 def test_the_published_fault_taken_out_keeps_the_arm_on_its_track(
     case: str, start_s: float, stop_s: float, factor: float

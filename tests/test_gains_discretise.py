@@ -81,7 +81,10 @@ def swung(plant: Plant, rate_hz: float, seconds: float, steps: int = 40) -> tupl
     return np.array(states), np.array(inputs), np.array(along)
 
 
-@pytest.mark.parametrize(("rate", "held", "middle"), [(10.0, 0.060, 0.013), (20.0, 0.095, 0.007), (100.0, 0.024, 4e-4)])
+@pytest.mark.parametrize(
+    ("rate", "held", "middle"),
+    [(10.0, 0.060, 0.013), pytest.param(20.0, 0.095, 0.007, marks=pytest.mark.long), (100.0, 0.024, 4e-4)],
+)
 def test_nonlinearities_in_the_middle_of_a_sample_follow_the_true_arm(rate: float, held: float, middle: float) -> None:
     arm = builtin_model("arm-disturbed")
     states, inputs, _ = swung(arm, rate, 40.0, 8)

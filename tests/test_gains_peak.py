@@ -82,7 +82,7 @@ def test_the_worst_signals_come_close_to_the_bound() -> None:
         assert np.max(np.abs(driven(plant, design, w, steps)[:, i])) == pytest.approx(bound["at_most"], rel=1e-3)
 
 
-@pytest.mark.parametrize("rate", [10.0, 50.0])
+@pytest.mark.parametrize("rate", [10.0, pytest.param(50.0, marks=pytest.mark.long)])
 def test_with_its_rate_stated_bound_and_certificate_hold_for_the_true_arm(rate: float) -> None:
     arm = builtin_model("arm-disturbed")
     states, inputs, along = swung(arm, rate, 30.0)

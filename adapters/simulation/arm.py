@@ -227,15 +227,14 @@ def _integrate(
     for step in range(steps):
         now = start_s + step * h
         drive = [
-            (u + sum(signal(s) for signal in f_a), disturbance * 0.2 * math.sin(10.0 * s))
+            (u + sum([signal(s) for signal in f_a]) if f_a else u, disturbance * 0.2 * math.sin(10.0 * s))
             for s in (now, now + 0.5 * h, now + h)
         ]
         k_1 = _slope(state, *drive[0])
         k_2 = _slope(_along(state, k_1, 0.5 * h), *drive[1])
         k_3 = _slope(_along(state, k_2, 0.5 * h), *drive[1])
         k_4 = _slope(_along(state, k_3, h), *drive[2])
-        mean = tuple((a + 2.0 * (b + c) + d) / 6.0 for a, b, c, d in zip(k_1, k_2, k_3, k_4, strict=True))
-        state = _along(state, (mean[0], mean[1], mean[2], mean[3]), h)
+        state = _along(state, _mean(k_1, k_2, k_3, k_4), h)
     return state
 
 
@@ -252,6 +251,15 @@ def _slope(x: ArmState, torque: float, w_1: float) -> ArmState:
 
 def _along(x: ArmState, slope: ArmState, h: float) -> ArmState:
     return (x[0] + h * slope[0], x[1] + h * slope[1], x[2] + h * slope[2], x[3] + h * slope[3])
+
+
+def _mean(a: ArmState, b: ArmState, c: ArmState, d: ArmState) -> ArmState:
+    return (
+        (a[0] + 2.0 * (b[0] + c[0]) + d[0]) / 6.0,
+        (a[1] + 2.0 * (b[1] + c[1]) + d[1]) / 6.0,
+        (a[2] + 2.0 * (b[2] + c[2]) + d[2]) / 6.0,
+        (a[3] + 2.0 * (b[3] + c[3]) + d[3]) / 6.0,
+    )
 
 
 def _start(torque: Torque) -> tuple[ArmState, ArmSignal]:
