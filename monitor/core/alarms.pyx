@@ -112,8 +112,9 @@ cdef class AlarmState:
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
     cdef bint contiguous, fails_towards_less, explained
     cdef int64_t explained_ns, explained_last_ns
-    # the weighted mean of the slow path; that of all evidence since it began, and how long that has been
-    cdef double mean, whole, whole_ns
+    # the weighted mean of the slow path; that of all evidence since it began, its size without the scale, and how long
+    # that has been
+    cdef double mean, whole, whole_size, whole_ns
     cdef bint lasts
     cdef Trend trend
     cdef int64_t raised_ns[3]
@@ -155,7 +156,7 @@ cdef class AlarmState:
         self.forget()
         if creeping:
             # Which mean had seen it the event does not say: both hold it.
-            self.mean, self.whole = estimate, limited(estimate, self.threshold)
+            self.mean, self.whole, self.whole_size = estimate, limited(estimate, self.threshold), estimate
             self.lasts, self.whole_ns = self.lasting < INFINITY, self.lasting_ns
         self.active, self.critical, self.creeping, self.recurring = True, critical, creeping, recurring
         self.shown = self.reported = estimate
@@ -172,7 +173,7 @@ cdef class AlarmState:
 
     cdef void forget(self) noexcept:
         """Begin the means anew."""
-        self.mean = self.whole = self.whole_ns = 0.0
+        self.mean = self.whole = self.whole_size = self.whole_ns = 0.0
 
     cdef bint excused(self, int64_t now) noexcept:
         cdef Py_ssize_t i
@@ -207,7 +208,7 @@ cdef class AlarmState:
         # The clock of a vehicle that rebooted jumps back.
         elapsed = now - self.last_ns if self.contiguous and now > self.last_ns else 0
         self.last_ns, self.contiguous = now, True
-        self.average(restart, evidence / scale, elapsed)
+        self.average(restart, evidence / scale, scale, elapsed)
         if self.active:
             return self.follow(now, evidence, scale, elapsed)
         event = self.debounce(now, evidence, scale, elapsed)
@@ -240,9 +241,9 @@ cdef class AlarmState:
             return False
         return change.size < 0.0 or not self.fails_towards_less or evidence >= self.clear
 
-    cdef void average(self, bint restart, double evidence, int64_t elapsed) noexcept:
+    cdef void average(self, bint restart, double evidence, double scale, int64_t elapsed) noexcept:
         """Move on the means over slow_s, of evidence of twice ``slow`` at most, and of all evidence up to threshold."""
-        cdef double keep
+        cdef double keep, entered
         if restart:
             # An observer that starts anew climbs back to a fault: no growth of the fault. What keeps an alarm active
             # is not forgotten meanwhile, or the alarm would come back as another one.
@@ -255,7 +256,9 @@ cdef class AlarmState:
             self.mean = keep * self.mean + (1.0 - keep) * limited(evidence, 2.0 * self.slow)
         if elapsed and self.lasting < INFINITY:
             self.whole_ns = min(self.whole_ns + elapsed, FLIGHT_NS)
-            self.whole += min(1.0, elapsed / self.whole_ns) * (limited(evidence, self.threshold) - self.whole)
+            keep, entered = 1.0 - min(1.0, elapsed / self.whole_ns), limited(evidence, self.threshold)
+            self.whole = keep * self.whole + (1.0 - keep) * entered
+            self.whole_size = keep * self.whole_size + (1.0 - keep) * entered * scale
 
     cdef int debounce(self, int64_t now, double evidence, double scale, int64_t elapsed) noexcept:
         """Raise the alarm by the fast, the plain, the slow or the lasting path, whichever comes first."""
@@ -268,8 +271,8 @@ cdef class AlarmState:
             return self.raise_alarm(now, evidence, scale * self.threshold, False)
         if fabs(self.mean) >= self.slow:
             return self.raise_alarm(now, self.mean, self.slow, True)
-        if self.whole_ns >= self.lasting_ns and fabs(self.whole) >= self.lasting:
-            self.raise_alarm(now, scale * self.whole, scale * self.lasting, True)
+        if self.whole_ns >= self.lasting_ns and fabs(self.whole) >= self.lasting and self.whole != 0.0:
+            self.raise_alarm(now, self.whole_size, self.whole_size / self.whole * self.lasting, True)
             self.lasts = True
             return C_RAISED
         return C_NONE
@@ -298,7 +301,7 @@ cdef class AlarmState:
         self.creeping = self.creeping and fabs(evidence) < (scale if self.lasts else 1.0) * self.threshold
         shown = evidence
         if self.creeping:
-            shown = scale * self.whole if self.lasts else self.mean
+            shown = self.whole_size if self.lasts else self.mean
         self.shown = shown
         self.trend.update(shown, elapsed)
         ahead = self.trend.size_in(self.ahead_s) if self.ahead_s > 0 else 0.0
