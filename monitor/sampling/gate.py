@@ -2,10 +2,10 @@
 
 Rules, in order: a vehicle known to be disarmed is not watched; where the vehicle reports its landed state, only
 "in the air" counts, and "landing" while it is still high; where it does not, a mean command of at least
-``airborne_command`` takes its place; if that is zero, a height that is not its home's. Each time the rules come to
-hold, ``settle_s`` of vehicle time passes before evidence counts. When the reported flight phase comes to allow
-evidence, the samples restart: the estimates made on the ground, before the first fix of the GPS or while the vehicle
-was carried about, are forgotten.
+``airborne_command`` takes its place; if that is zero, a height that is not its home's. Of a multirotor's sensors none
+is as in the sample before for long, unless what sends them is frozen. Each time the rules come to hold, ``settle_s`` of
+vehicle time passes before evidence counts. When the reported flight phase comes to allow evidence, the samples restart:
+the estimates made on the ground, before the first fix of the GPS or while the vehicle was carried about, are forgotten.
 """
 
 from __future__ import annotations
@@ -56,12 +56,14 @@ def read_gate(table: Table, default: GateRule) -> GateRule:
 class FlightGate:
     """Says which samples are evidence; keeps since when the rules hold.
 
-    ``by_command`` says whether the mean command ever had to tell that the vehicle flies.
+    ``by_command`` says whether the mean command ever had to tell that the vehicle flies. Without ``commands`` the
+    inputs are none, so their mean does not tell it.
     """
 
-    def __init__(self, rule: GateRule) -> None:
-        self._rule = rule
-        self._settling = Settling(rule.settle_s)
+    def __init__(self, rule: GateRule, commands: bool = True) -> None:
+        # what commands of flight are known of is a multirotor, whose gyros and accelerometers vibrate as it flies
+        self._rule, self._commands = rule, commands and rule.airborne_command > 0.0
+        self._settling = Settling(rule.settle_s, self._commands)
         self._driven: int | None = None
         self.by_command = False
 
@@ -85,15 +87,12 @@ class FlightGate:
         driven = self._driven
         return None if driven is None or 0 <= driven < _DRIVEN_SAMPLES else driven > 0
 
-    def admitted(self, phase: FlightPhase, samples: Samples, commands: bool = True) -> NDArray[np.bool_]:
-        """Return which samples count as evidence (n,): complete ones, the flight phase being the same for all of them.
-
-        Without ``commands`` the inputs are no commands, so their mean does not tell that the vehicle flies.
-        """
-        rule = self._rule
-        by_command = rule.require_airborne and rule.airborne_command > 0.0 and phase.landed is None and commands
+    def admitted(self, phase: FlightPhase, samples: Samples) -> NDArray[np.bool_]:
+        """Return which samples count as evidence (n,), the flight phase being the same for all of them."""
+        rule, commands = self._rule, self._commands
+        by_command = rule.require_airborne and phase.landed is None and commands
         self.by_command |= by_command
-        if self._driven is not None and self._driven >= 0 and commands and rule.airborne_command > 0.0:
+        if self._driven is not None and self._driven >= 0 and commands:
             flight = samples.u.mean(axis=1) >= rule.airborne_command
             # A command that was lost is none that was low.
             low = samples.measured & ~flight & np.isfinite(samples.u).all(axis=1)
@@ -131,7 +130,7 @@ class GatedSampler:
             self._transform = make_transform(source.transform, rate_hz)
             self._size = round(source.transform.rate_hz / rate_hz)
         self._kept: list[Samples] = []
-        self.gate = FlightGate(rule)
+        self.gate = FlightGate(rule, source.transform is None)
         self._rule = rule
         self._allowed = False
         self._supply = None if supply is None else Supply(supply)
@@ -171,7 +170,7 @@ class GatedSampler:
 
     def admitted(self, samples: Samples, phase: FlightPhase) -> NDArray[np.bool_]:
         """Return which samples are evidence (n,), the phase having been entered."""
-        return self.gate.admitted(phase, samples, self._transform is None)
+        return self.gate.admitted(phase, samples)
 
     def sample(self, batch: Batch, phase: FlightPhase) -> GatedSamples:
         """Return the samples that a batch completes and which are evidence, the phase being the same for all of it."""
