@@ -294,10 +294,7 @@ def _alarm_table(rule: AlarmRule, sees: str | None) -> dict[str, float | str]:
         table |= {"lasting": rule.lasting, "lasting_s": rule.lasting_s}
     if rule.nats < math.inf:
         table |= {"nats": rule.nats, "least": rule.least}
-    if rule.healthy:
-        table["healthy"] = rule.healthy
-    if rule.latch_s:
-        table["latch_s"] = rule.latch_s
+    table |= {key: getattr(rule, key) for key in ("smallest", "healthy", "latch_s") if getattr(rule, key)}
     for key in MEASURED:
         if getattr(rule, key) is not None:
             table[key] = getattr(rule, key)

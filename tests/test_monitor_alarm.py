@@ -382,6 +382,16 @@ def test_a_sudden_change_that_is_too_small_for_an_alarm_raises_nothing() -> None
     assert not sudden(new_alarm(SUDDEN), [(0.0, 1e4, -0.007)] * 5)
 
 
+@pytest.mark.parametrize("size", [0.02, 0.1])
+def test_no_path_raises_below_a_users_smallest_size(size: float) -> None:
+    rule = replace(SUDDEN, fast=0.04, slow=0.01, slow_s=1.0, lasting=0.01, lasting_s=1.0, smallest=size)
+    for below, above in ((0.9 * size, 1.1 * size), (-0.9 * size, -1.1 * size)):
+        assert run(new_alarm(rule), [below] * 2000) == []
+        assert [event.state for event in run(new_alarm(rule), [above] * 200)] == ["raised"]
+    assert not sudden(new_alarm(rule), [(0.0, 1e4, -0.9 * size)] * 5)
+    assert sudden(new_alarm(rule), [(0.0, 1e4, -1.1 * size)] * 5)[0].state == "raised"
+
+
 def test_a_change_that_grows_to_an_alarms_size_raises_before_it_has_it() -> None:
     rows = [(0.0, 200.0, -0.003)] * 650
     assert not sudden(new_alarm(SUDDEN), rows, growth=-0.0009)

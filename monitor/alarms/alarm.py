@@ -170,6 +170,7 @@ class AlarmRule:
     # nats: no such path
     nats: float = math.inf
     least: float = 0.0
+    smallest: float = 0.0  # a user's smallest size worth an alarm: no path asks for less
     # size that evidence reaches in healthy flight, as rarely as false alarms are granted: where the residuals of a run
     # are larger than those of the flights that were fitted, what is asked of it grows with this size
     # (:mod:`monitor.estimation.bank`); 0: not at all

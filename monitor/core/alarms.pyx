@@ -134,13 +134,13 @@ cdef class AlarmState:
 
     def set_rule(self, rule):
         """Apply the sizes and times of an :class:`monitor.alarms.alarm.AlarmRule` from the next row on."""
-        self.threshold, self.clear, self.critical_size = rule.threshold, rule.clear, rule.critical
+        self.threshold, self.clear, self.critical_size = max(rule.threshold, rule.smallest), rule.clear, rule.critical
         self.raise_ns, self.clear_ns = rule.raise_s * NANOSECONDS, rule.clear_s * NANOSECONDS
-        self.fast, self.fast_ns = rule.fast, rule.fast_s * NANOSECONDS
-        self.slow, self.slow_ns = rule.slow, rule.slow_s * NANOSECONDS
+        self.fast, self.fast_ns = max(rule.fast, rule.smallest), rule.fast_s * NANOSECONDS
+        self.slow, self.slow_ns = max(rule.slow, rule.smallest), rule.slow_s * NANOSECONDS
         self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
-        self.nats, self.least = rule.nats, rule.least
-        self.lasting, self.lasting_ns = rule.lasting, rule.lasting_s * NANOSECONDS
+        self.nats, self.least = rule.nats, max(rule.least, rule.smallest)
+        self.lasting, self.lasting_ns = max(rule.lasting, rule.smallest), rule.lasting_s * NANOSECONDS
         self.fails_towards_less = rule.kind == "actuator"
 
     def set_excuse(self, bint now, spans):
