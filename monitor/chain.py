@@ -40,9 +40,6 @@ from monitor.profile import FaultChannel, ObserverProfile
 from monitor.sampling.gate import GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
 
-_LATELY_NS = 10_000_000_000
-"""An alarm raised no longer before an impostor is explained by it: its findings are counted over as long."""
-
 
 class CommandRun(NamedTuple):
     """n samples in command units: fault, isolated and sd (n, a); the smoothed command that each fault scales (n,)."""
@@ -287,7 +284,14 @@ class ObserverChain:
         jumping = edge_faults(profile.isolation)
         for alarm in self._alarms[: len(self._faults)]:
             channel = alarm.rule.channel
-            self._excuses.add(channel, alarm.state, profile.name, jumps=channel in jumping, affect=alarm.affect)
+            self._excuses.add(
+                channel,
+                alarm.state,
+                profile.name,
+                jumps=channel in jumping,
+                affect=alarm.affect,
+                withdraw=alarm.withdraw,
+            )
         for alarm in self._alarms if sooner else ():
             self._excuses.add_beside(alarm.rule.channel, alarm.state, sooner, alarm.rule.slow_s)
 
@@ -340,8 +344,10 @@ class ObserverChain:
             if channel in self._actuators or not self._excuses.distrust(channel, alarm.state, is_forged):
                 continue
             changed = True
-            if is_forged and alarm.state.active and 0 <= time_ns - alarm.since_ns < _LATELY_NS:
-                events += self._close([alarm], time_ns, vehicle_ns, "the values of a second sender explain it")
+            ended = alarm.withdraw(time_ns, vehicle_ns, "explained by a second sender") if is_forged else None
+            if ended is not None:
+                events.append(ended)
+                self._excuses.follow(ended)
                 listed = self._excuses.explained(alarm.rule.channel, time_ns, vehicle_ns, alarm.state)
                 events += [] if listed is None else [listed]
         if changed and not is_forged:
@@ -536,6 +542,7 @@ def alarm_events(runs: Sequence[ChainRun], excuses: Excuses) -> list[AlarmEvent]
         event = run.event(row, alarm, code)
         events.append(event)
         excuses.follow(event)
+        events.extend(excuses.consequences(event))
 
     walk([run.rows for run in runs], on_event)
     return events

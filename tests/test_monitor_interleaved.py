@@ -149,7 +149,7 @@ def test_a_sensor_that_was_accused_before_the_impostor_was_known_is_cleared(
 ) -> None:
     events = events_of(profile, attacked(flight, "GPS_RAW_INT", {"vel": 300}, 3, 0.45))
     (gps,) = (event for event in events if event.channel == "gps_north" and event.state == "cleared")
-    assert gps.message == "the values of a second sender explain it"
+    assert gps.message == "explained by a second sender"
     told = [event for event in events if event.channel == "impostor"]
     assert "affected: gps_north" in told[1].message
 

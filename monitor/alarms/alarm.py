@@ -136,6 +136,9 @@ LEAST: Mapping[str, float] = {"slow_s": 0.01}
 """A mean over one sample of a 100 Hz observer is none; a time constant of zero would divide by zero."""
 _LARGEST = 1e300
 """Twice as much is still a finite number, as the rule needs it."""
+LATELY_NS = 10_000_000_000
+"""An alarm that was raised no longer before another one may be its consequence: its findings are counted over as
+long."""
 _AFFECTED = "; affected: "
 _STATES: Mapping[int, State] = {RAISED: "raised", UPDATED: "updated", CLEARED: "cleared"}
 
@@ -301,6 +304,12 @@ class Alarm:
         event = self._event("cleared", time_ns, vehicle_ns, why, None, None)
         self.state.deactivate()
         return event
+
+    def withdraw(self, time_ns: int, vehicle_ns: int, why: str) -> AlarmEvent | None:
+        """End an alarm that another one, raised soon after it, explains; return the event, None where that is none."""
+        if not self.state.active or not 0 <= time_ns - self.since_ns < LATELY_NS:
+            return None
+        return self.close(time_ns, vehicle_ns, why)
 
     def _event(
         self, state: State, time_ns: int, vehicle_ns: int, message: str, relative: float | None, sd: float | None

@@ -1,8 +1,8 @@
 """Alarms that another alarm explains: a gyro jump tilts the attitude, and the tilt looks like a GPS that speeds away.
 
 While a channel is excused its evidence raises no alarm. One that is active already follows its evidence as ever, so it
-clears as soon as that is gone. A channel that two observers watch (a gyro, by motors and by GPS) is one fault: while
-the alarm of one is active, the other raises none.
+clears as soon as that is gone, or ends where the rule says that it may have come first. A channel that two observers
+watch (a gyro, by motors and by GPS) is one fault: while the alarm of one is active, the other raises none.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from monitor.estimation.bank import HOLD_S
 from monitor.event import AlarmEvent
 
 Affect = Callable[[str, int, int], AlarmEvent | None]
+Withdraw = Callable[[int, int, str], AlarmEvent | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,9 @@ class ExcuseRule:
     # whether those alarms name the same cause more exactly: raised while one of the channels has an active alarm, they
     # say more of that one and are none of their own (:mod:`monitor.alarms.desk`)
     same_cause: bool = False
+    # whether the channels may show the fault sooner than those that are told it by: an alarm of theirs that was raised
+    # within the 10 s before ends then, as what it is
+    sooner: bool = False
 
     def among(self, alarms: Collection[str]) -> ExcuseRule:
         """Return what the rule says of these channels."""
@@ -59,23 +63,33 @@ class Excuses:
         self._lasting_cleared_ns: dict[str, int] = {}
         self._jumps: dict[str, list[tuple[str, AlarmState]]] = {}
         self._affect: dict[str, list[Affect]] = {}
+        self._withdraw: dict[str, list[Withdraw]] = {}
         self._beside: dict[AlarmState, tuple[str, frozenset[str], float]] = {}
         self._named: dict[str, set[str]] = {}
         self._named_until_ns: dict[str, int] = {}
 
     def add(
-        self, channel: str, alarm: AlarmState, observer: str = "", *, jumps: bool = False, affect: Affect | None = None
+        self,
+        channel: str,
+        alarm: AlarmState,
+        observer: str = "",
+        *,
+        jumps: bool = False,
+        affect: Affect | None = None,
+        withdraw: Withdraw | None = None,
     ) -> None:
         """Excuse an alarm of this channel from now on whenever the rules, or another observer's, say so.
 
         ``jumps``: its observer sees the fault begin and end, both as jumps, and not that it lasts. ``affect`` is what
-        the alarm is told that it explains.
+        the alarm is told that it explains, ``withdraw`` ends it where a later one explains it.
         """
         self._alarms.setdefault(channel, []).append(alarm)
         if jumps:
             self._jumps.setdefault(channel, []).append((observer, alarm))
         if affect is not None:
             self._affect.setdefault(channel, []).append(affect)
+        if withdraw is not None:
+            self._withdraw.setdefault(channel, []).append(withdraw)
 
     def add_beside(self, channel: str, alarm: AlarmState, sooner: Collection[str], for_s: float) -> None:
         """Excuse an alarm while observers that see its faults sooner have named one, and for some time after.
@@ -96,6 +110,20 @@ class Excuses:
                 if (event := affect(channel, time_ns, vehicle_ns)) is not None:
                     return event
         return None
+
+    def consequences(self, event: AlarmEvent) -> list[AlarmEvent]:
+        """End the alarms that one which has just been raised explains; return the events. Follow that one before."""
+        events: list[AlarmEvent] = []
+        rules = self._rules.items() if event.state == "raised" else ()
+        for channel in (name for name, of in rules if any(event.channel in rule.by for rule in of if rule.sooner)):
+            for withdraw in self._withdraw.get(channel, ()):
+                times_ns = event.time_ns, event.vehicle_time_ms * 1_000_000
+                ended = withdraw(*times_ns, f"explained by {event.channel}")
+                if ended is not None:
+                    self.follow(ended)
+                    listed = self.explained(channel, *times_ns)
+                    events += [ended] if listed is None else [ended, listed]
+        return events
 
     def distrust(self, channel: str, alarm: AlarmState, is_forged: bool) -> bool:
         """Excuse an alarm because of forged values from now on, or no longer; return whether that is a change."""
@@ -186,6 +214,7 @@ def read_excuses(tables: Iterable[Table], known: Sequence[str]) -> tuple[ExcuseR
             table.texts("by"),
             table.number("for_s", 0.0, at_least=0.0),
             table.boolean("same_cause", False),
+            table.boolean("sooner", False),
         )
         table.done()
         for key, names in (("channels", rule.channels), ("by", rule.by)):
@@ -202,6 +231,6 @@ def excuse_tables(rules: Sequence[ExcuseRule]) -> list[dict[str, Any]]:
     """Return the tables that :func:`read_excuses` reads back as the same rules."""
     return [
         {"channels": list(rule.channels), "by": list(rule.by), "for_s": rule.for_s}
-        | ({"same_cause": True} if rule.same_cause else {})
+        | {name: True for name in ("same_cause", "sooner") if getattr(rule, name)}
         for rule in rules
     ]

@@ -98,9 +98,9 @@ _SCATTER = 0.03
 known within some per cent."""
 _THRESHOLD, _CLEAR, _CRITICAL = 0.001, 0.0005, 0.25
 _RAISE_S, _CLEAR_S = 0.15, 0.3
-_EXCUSED_S = 4.0
-"""How long after its end a sensor's fault explains what it made of actuators, seconds: the longest memory fades within
-one, and an accusation is held for three without excitation."""
+_EXCUSED_S = 30.0
+"""How long after its end a sensor's fault explains what it made of actuators, seconds: rates and velocities are less
+what the autopilot's estimator has learned meanwhile, and it unlearns that in half a minute."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +178,7 @@ def fit_effects(
         lines=tuple(_lines(fit, rate_hz, reference, reading)),
         details=() if comparison is None else ("on data kept back:", *comparison_lines(comparison)),
         comparison=comparison,
-        excuses=(ExcuseRule(tuple(gains.faults), kind.sensors, _EXCUSED_S),),
+        excuses=(ExcuseRule(tuple(gains.faults), kind.sensors, _EXCUSED_S, sooner=True),),
         agreement=_agreement(plant, gains.faults, request.names, [flight.segments() for flight in flights]),
     )
     return fitted, gate
