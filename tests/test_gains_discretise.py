@@ -99,7 +99,7 @@ def test_nonlinearities_in_the_middle_of_a_sample_follow_the_true_arm(rate: floa
     assert largest[1] > held
 
 
-@pytest.mark.parametrize("rate", [10.0, 50.0])
+@pytest.mark.parametrize("rate", [10.0, pytest.param(50.0, marks=pytest.mark.long)])
 def test_what_a_sample_leaves_out_of_a_nonlinearity_is_a_disturbance_of_its_stated_size(rate: float) -> None:
     arm = builtin_model("arm-disturbed")
     states, inputs, along = swung(arm, rate, 20.0)
