@@ -53,7 +53,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitReport, Profile
 @pytest.fixture(scope="module")
 def slow(tmp_path_factory: pytest.TempPathFactory) -> Profile:
     folder = tmp_path_factory.mktemp("chain") / "quad"
-    fit([list(flight(seed, 90.0, esc_hz=3.0)) for seed in (1, 2)], folder)
+    fit([list(flight(seed, 60.0, esc_hz=3.0)) for seed in (1, 2)], folder)
     return read_profile(folder)
 
 

@@ -35,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs = {
         "monday": robot(80.0, 1),
         "tuesday": robot(80.0, 2),
-        "wednesday": robot(80.0, 5),
+        "wednesday": robot(50.0, 5),
         "jump": robot(50.0, 3, north_m=lambda t: 5.0 * (ON_S < t < OFF_S)),
         "gyro": robot(50.0, 4, gyro_x=lambda t: 0.1 * (ON_S < t < OFF_S)),
     }
