@@ -64,7 +64,8 @@ def of_module(path: Path) -> Iterator[Constant]:
     text = path.read_text()
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     comments = {token.start[0] for token in tokens if token.type == tokenize.COMMENT}
-    alone = {line for line in comments if text.splitlines()[line - 1].startswith("#")}
+    lines = text.splitlines()
+    alone = {line for line in comments if lines[line - 1].startswith("#")}
     body = ast.parse(text).body
     covered_until = -1  # the last line that a comment above a run of assignments still covers
     for node, following in zip(body, [*body[1:], None], strict=True):
