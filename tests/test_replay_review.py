@@ -29,6 +29,7 @@ import fauio
 from monitor.alarms.command_watch import CommandSent
 from replay.review import learning
 from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
+from replay.review.findings.loss_of_control import tumbles
 from replay.review.review import LogReview, judged, review_log
 from replay.review.rules import RULES
 
@@ -116,6 +117,11 @@ LOOK_ALIKES: dict[str, Flight] = {
     ),
     "a saturated mixer": Flight(motors=one_motor(1, 0.0, 30.0, 30.5)),
     "a hard climb": Flight(motors=lambda at: [1.0 if 30.0 <= at < 33.0 else share for share in usual_motors(at)]),
+    "a dash at full tilt": Flight(
+        motors=one_motor(4, 1.0, 30.5, 33.0),
+        tilt_deg=between(30.2, 33.2, 45.0, 0.0),
+        tilt_wanted_deg=between(30.0, 33.0, 45.0, 0.0),
+    ),
     "no battery connected": Flight(volts=lambda _: 0.05, connected=False),
     "cells of lithium ion": Flight(
         volts=lambda at: 15.4 - 0.05 * at, parameters={"BAT1_N_CELLS": 4, "BAT1_V_EMPTY": 2.8}
@@ -375,16 +381,23 @@ def test_a_size_that_no_actuator_can_have_is_not_stated() -> None:
     """The commands of a vehicle that lay on the ground were so small that a motor was to lack four times as much."""
     review = watched(replace(LEARNED["actuator_effect"], possible=False, text="motor2 is off by 22 % of full thrust"))
     assert names(review) == []
-    assert "motor2 would lack more than there is" in review.unjudged["An actuator does less than it did"]
+    assert "motor2 would be off by more than can be" in review.unjudged["An actuator does less than it did"]
 
 
 @pytest.mark.parametrize(
-    ("channel", "relative", "possible"), [("motor1", -0.06, True), ("motor1", None, False), ("gyro_y", None, True)]
+    ("channel", "relative", "estimate", "possible"),
+    [
+        ("motor1", -0.06, -0.06, True),
+        ("motor1", None, -0.06, False),
+        ("gyro_y", None, 0.1, True),
+        ("motion_east", None, 101.0, False),
+        ("gps_velocity_east", None, -9.0, True),
+    ],
 )
-def test_a_motor_lacks_a_share_of_its_command_and_a_gyro_has_none(
-    channel: str, relative: float | None, possible: bool
+def test_what_was_learned_does_not_hold_where_it_says_what_cannot_be(
+    channel: str, relative: float | None, estimate: float, possible: bool
 ) -> None:
-    said = {"channel": channel, "relative": relative}
+    said = {"channel": channel, "relative": relative, "estimate": estimate}
     run = SimpleNamespace(events=[event(6000, "raised", **said), event(9000, "cleared", **said)])
     facts = LogFacts("PX4", "multirotor", START_NS, 100.0, (), ((0.0, 100.0),), {})
     assert [one.possible for one in learning._alarms(run, facts, 40.0)] == [possible]
@@ -425,6 +438,7 @@ def test_planes_and_rovers_are_judged_while_they_move(log: str, vehicle: str) ->
     assert (review.facts.vehicle, names(review)) == (vehicle, [])
     assert review.facts.flight_s > 20.0
     assert "Failsafe announced" in review.watched
+    assert ("s of flight" in review.sentence) is (vehicle == "plane")
 
 
 def test_what_the_log_lacks_is_said(tmp_path: Path) -> None:
@@ -438,6 +452,8 @@ def test_a_log_without_a_flight_is_not_judged(tmp_path: Path) -> None:
     review = rules_on(px4_log(tmp_path / "flight.ulg", Flight(armed=lambda _: False, motors=lambda _: [0.0] * 4)))
     assert review.sentence == "The log shows no flight, it was never armed: nothing was judged."
     assert not review.watched
+    # one reason is said once
+    assert [why for _, why in review.reasons()] == ["the log shows no flight"]
 
 
 @pytest.mark.parametrize("name", ["landing_detected_in_air", "motor_at_limit", "gps_lost", "turned_over"])
@@ -474,7 +490,10 @@ def test_a_height_that_drifted_before_the_vehicle_armed_is_no_flight(tmp_path: P
         armed=lambda at: 4.0 <= at < DISARM_S,
     )
     review = rules_on(telemetry(tmp_path / "flight.tlog", flight, drift_m=2.5))
-    assert review.sentence == "The log shows no flight, it was armed for 53 s on the ground: nothing was judged."
+    assert (
+        review.sentence
+        == "The log shows no flight, it was armed for 53 s and never seen to leave the ground: nothing was judged."
+    )
 
 
 @pytest.mark.parametrize(("period_s", "found"), [(0.5, ["motor_command_stopped"]), (2.3, [])])
@@ -504,6 +523,24 @@ def test_a_plane_whose_log_has_no_barometer_flies_by_its_receivers_height(tmp_pa
     path = tmp_path / "plane.bin"
     path.write_bytes(log.data)
     assert rules_on(path).facts.flight == (pytest.approx((10.0, 40.0), abs=0.1),)
+
+
+def test_old_versions_log_hundredths_of_volts(tmp_path: Path) -> None:
+    log = DataflashWriter()
+    log.define("MSG", "QZ", "TimeUS,Message")
+    log.define("CURR", "Qhh", "TimeUS,Volt,Curr")
+    log.add("MSG", 0, "ArduCopter V3.2.1")
+    log.add("CURR", 1_000_000, 1557, 2038)
+    path = tmp_path / "copter.bin"
+    path.write_bytes(log.data)
+    assert rules_on(path).facts.signals["battery"].values.tolist() == [[15.57, 20.38]]
+
+
+@pytest.mark.parametrize(("pitch", "found"), [(0.0, 1), (-75.0, 0)])
+def test_roll_says_nothing_of_a_vehicle_that_stands_on_its_nose(pitch: float, found: int) -> None:
+    attitude = LogSignal(np.arange(100) / 10, np.tile([125.0, pitch, 0.0], (100, 1)), ("r", "p", "y"), "deg", "ATT")
+    facts = LogFacts("ArduPilot", "multirotor", 0, 10.0, ((0.0, 10.0),), ((0.0, 10.0),), {"attitude": attitude})
+    assert len(tumbles(facts)) == found
 
 
 @pytest.mark.parametrize("output", ["Ch", "Chan"])

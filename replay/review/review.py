@@ -60,11 +60,15 @@ class LogReview:
         first = self.first
         if not self.facts.flight:
             armed_s = sum(end - start for start, end in self.facts.armed)
-            why = f"it was armed for {armed_s:.0f} s on the ground" if armed_s else "it was never armed"
+            why = (
+                f"it was armed for {armed_s:.0f} s and never seen to leave the ground"
+                if armed_s
+                else "it was never armed"
+            )
             return f"The log shows no flight, {why}: nothing was judged."
         if first is None:
             watched = f"{len(self.watched)} of {len(self.watched) + len(self.unjudged)} findings could be looked for"
-            return f"Nothing wrong found in {self.facts.flight_s:.0f} s of flight; {watched}."
+            return f"Nothing wrong found in {self.facts.flight_text}; {watched}."
         text = first.judgement.text
         said = f"First, at {first.judgement.start_s:.1f} s, {text} ({first.judgement.confidence})."
         worst = next(
@@ -78,6 +82,11 @@ class LogReview:
     def wrong(self) -> bool:
         """Whether anything was found that is more than information."""
         return any(finding.judgement.weight != "information" for finding in self.findings)
+
+    def reasons(self) -> Iterator[tuple[str, str]]:
+        """Yield what could not be judged, findings with the same reason together, and why."""
+        for why in dict.fromkeys(self.unjudged.values()):
+            yield ", ".join(title for title, reason in self.unjudged.items() if reason == why), why
 
     def timeline(self) -> list[tuple[float, str, str]]:
         """Return what the log states and what was found, in order: time, kind, text."""

@@ -14,7 +14,7 @@ def review_lines(review: LogReview) -> Iterator[str]:
     """Yield the verdict, the findings with their evidence, the time line, and what could not be judged."""
     facts = review.facts
     kind = " ".join(word for word in (facts.autopilot, facts.vehicle) if word) or "unknown vehicle"
-    yield f"{review.log.name}: {kind}, {facts.duration_s:.0f} s, {facts.flight_s:.0f} s of flight"
+    yield f"{review.log.name}: {kind}, {facts.duration_s:.0f} s, {facts.flight_text}"
     yield f"  {review.sentence}"
     explained: set[str] = set()
     for finding in review.findings:
@@ -34,5 +34,4 @@ def review_lines(review: LogReview) -> Iterator[str]:
             yield f"    ... and {len(entries) - _MOST_STATED} more"
     if review.watched:
         yield f"  looked for and not there: {', '.join(review.watched)}"
-    for title, why in review.unjudged.items():
-        yield f"  not judged: {title}: {why}"
+    yield from (f"  not judged: {titles}: {why}" for titles, why in review.reasons())

@@ -51,6 +51,8 @@ _VEHICLES = {"Copter": ("multirotor", 2), "Plane": ("plane", 1), "Rover": ("rove
 """By a word of what the log begins with: the vehicle, and a MAV_TYPE that has its modes."""
 _PWM_FROM, _PWM_TO = 1000.0, 2000.0
 """MOT_PWM_MIN and MOT_PWM_MAX where the log does not say: their defaults."""
+_MOST_VOLTS = 100.0
+"""No vehicle flies on more: before version 3.3 logs have hundredths of volts and amperes."""
 _OUTPUTS = 14
 _OUTPUT_WORDS = ("C", "Ch", "Chan")
 """What comes before an output's number: of today, before ArduPilot 3.4, before 3.2."""
@@ -95,7 +97,10 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     signals["climb_wanted"] = get("PSCD", ["TVD"], ["wanted"], "m/s", -1.0)
     signals["acceleration"] = get("IMU", ["AccX", "AccY", "AccZ"], ["x", "y", "z"], "m/s2")
     battery = first_known(*(get(name, ["Volt", "Curr"], ["voltage", "current"], "V, A") for name in ("BAT", "CURR")))
-    if battery and not (np.nanmax(battery.only) > 1.0):
+    most = np.nanmax(battery.only, initial=0.0)
+    if most > _MOST_VOLTS:
+        battery = replace(battery, values=battery.values / 100.0)
+    if battery and most <= 1.0:
         lacks["battery"] = "its voltage is below 1 V from begin to end: no sensor is connected"
     else:
         signals["battery"] = battery

@@ -171,6 +171,11 @@ class LogFacts:
         """How long it flew."""
         return sum(end - start for start, end in self.flight)
 
+    @property
+    def flight_text(self) -> str:
+        """How long it flew, or of what does not fly, was armed."""
+        return f"{self.flight_s:.0f} s {'of flight' if self.flies else 'armed'}"
+
 
 SIGNALS: Mapping[str, str] = {
     "motors": "commands of the motors that fly it, 0 to 1",

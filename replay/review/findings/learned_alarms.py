@@ -49,7 +49,7 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
         first = min(wrong.values(), key=lambda alarm: alarm.start_s)
         raise UnjudgedError(
             f"what the first {learned_s:.0f} s taught does not hold of the flight: from {first.start_s:.0f} s on "
-            f"{first.channel} would lack more than there is"
+            f"{first.channel} would be off by more than can be"
         )
     for channel in dict.fromkeys(alarm.channel for alarm in sound):
         every = [alarm for alarm in sound if alarm.channel == channel]

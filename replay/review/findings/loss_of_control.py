@@ -23,7 +23,7 @@ barometer's reading moves by 1 m when motors stop on the ground, and by up to 5 
 _FALL_S = 3.0
 """Time in which to see it: it falls 44 m in it, twice the barometer's slowest averaging."""
 _UPSIDE_DOWN = 100.0
-"""Degrees of roll or pitch beyond which no multirotor is held unless it flips on purpose."""
+"""Degrees from level beyond which no multirotor is held unless it flips on purpose."""
 _GRAVITY = 9.81
 _ABOUT_S = 1.0
 """Seconds ahead of an attitude in which a blow belongs to it."""
@@ -64,8 +64,14 @@ def tumbles(facts: LogFacts) -> list[tuple[float, float]]:
     attitude = facts.signals.get("attitude")
     if attitude is None or facts.vehicle != "multirotor":
         return []
-    over = (np.abs(attitude.values[:, :2]) > _UPSIDE_DOWN).any(axis=1) & facts.in_flight(attitude.time_s)
+    over = (tilts_deg(attitude) > _UPSIDE_DOWN) & facts.in_flight(attitude.time_s)
     return [span for span in spans_where(attitude.time_s, over, _ON_ITS_BACK_S) if not undisturbed(facts, span[0])]
+
+
+def tilts_deg(attitude: LogSignal) -> Floats:
+    """Return by how much a vehicle leans (n,), degrees: nose up or down roll alone jumps, and says nothing of it."""
+    roll, pitch = np.cos(np.radians(attitude.values[:, :2].T))
+    return np.asarray(np.degrees(np.arccos(roll * pitch)))
 
 
 def undisturbed(facts: LogFacts, start_s: float) -> bool:

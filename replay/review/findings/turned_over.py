@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from replay.review.facts.log_facts import LogFacts, LogSignal
-from replay.review.findings.loss_of_control import stops, tumbles
+from replay.review.findings.loss_of_control import stops, tilts_deg, tumbles
 from replay.review.findings.rule import Judgement, Rule
 
 _ON_PURPOSE = ("Acro", "ACRO", "FLIP", "RATTITUDE")
@@ -25,12 +23,12 @@ def _judge(facts: LogFacts, attitude: LogSignal, _: LogSignal) -> Iterator[Judge
         ]
         stayed = any(until > facts.flight[-1][1] - _STAYED_S for _, until in tumbles(facts))
         meant = bool(modes) and any(word in modes[-1] for word in _ON_PURPOSE) and not stayed
-        most = float(np.abs(attitude.during(start, end + 0.1).values[:, :2]).max())
+        most = tilts_deg(attitude.during(start, end + 0.1)).max()
         yield Judgement(
             start_s=start,
             end_s=end,
-            text=f"the vehicle turned over: {most:.0f} degrees of roll or pitch for {end - start:.1f} s",
-            evidence=(f"{attitude.origin}: beyond 100 degrees from {start:.2f} s on",),
+            text=f"the vehicle turned over: {most:.0f} degrees from level for {end - start:.1f} s",
+            evidence=(f"{attitude.origin}: beyond 100 degrees from level from {start:.2f} s on",),
             counter=(
                 f"the mode was {modes[-1].removeprefix('mode ') if modes else 'not recorded'}"
                 + (", in which pilots turn over on purpose" if meant else ""),
@@ -45,7 +43,7 @@ RULE = Rule(
     title="Turned over",
     stage="motion",
     physics="With a motor or a propeller gone, or with a wrong attitude, a multirotor tumbles within a second.",
-    evidence="roll or pitch beyond 100 degrees for 0.3 s in flight",
+    evidence="100 degrees from level for 0.3 s in flight",
     counter=(
         "its motors had not been commanded to stop before",
         "flips in acro modes, after which it flies on, are information alone",
