@@ -139,18 +139,20 @@ class BlackBox:
 
         Those of ``telemetry`` have the time of their arrival, which is the time of the black box.
         """
-        for record in records:
-            _, data, time_ns = record
-            if telemetry:
-                self._pass_time(time_ns)
-            now = self._now_ns if self._now_ns is not None else time_ns
-            self._held.append(record)
-            self._arrived_ns.append(now)
-            self._counts.held_bytes += len(data)
-            while self._held and self._is_over(now):
-                self._forget()
-            for clip in self._clips:
-                self._give(clip, record)
+        if not records:
+            return
+        times_ns = [time_ns for _, _, time_ns in records]
+        for clip in self._clips:
+            self._give(clip, records, times_ns if telemetry else ())
+        if telemetry:
+            self._now_ns = times_ns[-1]
+        elif self._now_ns is not None:
+            times_ns = [self._now_ns] * len(records)
+        self._held.extend(records)
+        self._arrived_ns.extend(times_ns)
+        self._counts.held_bytes += sum([len(data) for _, data, _ in records])
+        while self._held and self._is_over(times_ns[-1]):
+            self._forget()
 
     def alarm(self, event: AlarmEvent) -> None:
         """Begin the clip of an alarm that was just raised; events of other states change nothing."""
@@ -206,11 +208,13 @@ class BlackBox:
         )
 
     def _pass_time(self, now_ns: int) -> None:
-        """Set the time; a clip ends after its span, or when the clock was set back to before it."""
         self._now_ns = now_ns
         for clip in self._clips:
-            if not clip.begun_ns - self._before_ns <= now_ns <= clip.ends_ns:
-                clip.ended = True
+            clip.ended |= self._is_behind(clip, now_ns)
+
+    def _is_behind(self, clip: _Clip, now_ns: int) -> bool:
+        """Return whether a clip is over: after its span, or when the clock was set back to before it."""
+        return not clip.begun_ns - self._before_ns <= now_ns <= clip.ends_ns
 
     def _is_over(self, now_ns: int) -> bool:
         """Return whether the oldest record has to be dropped: by age (also after the clock jumped back), or by size."""
@@ -227,13 +231,16 @@ class BlackBox:
         if self._topics[topic].name in _PHASE_TOPICS:
             self._phase[topic] = record
 
-    def _give(self, clip: _Clip, record: EncodedRecord) -> None:
+    def _give(self, clip: _Clip, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> None:
+        """Give a clip the records of its span, which times of telemetry end."""
         if clip.ended:
             return
-        if len(clip.waiting) >= 2 * self._held_records:
-            self._counts.dropped += 1
-        else:
-            clip.waiting.append(record)
+        behind = (index for index, now_ns in enumerate(times_ns) if self._is_behind(clip, now_ns))
+        stop = next(behind, len(records))
+        clip.ended = stop < len(records)
+        room = max(2 * self._held_records - len(clip.waiting), 0)
+        clip.waiting.extend(records[: min(stop, room)])
+        self._counts.dropped += max(stop - room, 0)
 
     def _advance(self, clip: _Clip, max_records: int) -> int:
         """Write up to so many of a clip's records and complete it after the last; return how many."""

@@ -67,7 +67,8 @@ def most_bytes(records: Sequence[EncodedRecord], topics: Sequence[Topic], channe
     """Return how many bytes records add at most to the file that has these channels."""
     new = {number for number, _, _ in records} - channels.keys()
     schemas = [schema for number in new if (schema := topics[number].schema) is not None]
-    return sum(len(data) + _RECORD_MARGIN for _, data, _ in records) + sum(2 * len(schema.data) for schema in schemas)
+    written = sum([len(data) for _, data, _ in records]) + len(records) * _RECORD_MARGIN
+    return written + sum(2 * len(schema.data) for schema in schemas)
 
 
 def recordable(
@@ -255,7 +256,7 @@ class Recorder:
         series = self._series
         if series is None:
             return True
-        if any(abs(time_ns - self._first_ns) >= series.file_ns for time_ns in times_ns):
+        if times_ns and max(max(times_ns) - self._first_ns, self._first_ns - min(times_ns)) >= series.file_ns:
             return False
         return log.size + most_bytes(records, self._topics, self._channels) <= series.file_bytes
 
