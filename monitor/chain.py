@@ -177,27 +177,30 @@ class ChainRun:
     position: NDArray[np.int64]  # place in the batch of the message that completed each sample (n,)
     rows: ChainRows  # evidence, as the alarms process it
     alarms: Sequence[Alarm]  # the alarms, in the order of the evidence's columns
-    # by alarm: what its size takes its share of (n,), where that makes sense
+    faults: Sequence[int]  # the fault of each alarm; the alarm of what no fault explains, behind them, has none
+    # by fault: what its size takes its share of (n,), where that makes sense; what tells its share in another way
     commands: Mapping[int, NDArray[np.float64]]
-    # by alarm: that share, where it is known in another way (n,); not a number in rows where it is not known
-    relative: Mapping[int, NDArray[np.float64]]
+    effects: Mapping[int, EffectivenessRun]
     # smoothed estimate of each fault under its own hypothesis, whichever is believed (n, a), effect units
     smoothed: NDArray[np.float64]
     unexplained: NDArray[np.float64]  # score of what no hypothesis explains (n,), zero where one does
     # how many times its threshold each fault has to reach (n, a), 1 or more, and the level of the residuals (n,)
     scale: NDArray[np.float64]
     level: NDArray[np.float64]
-    # by alarm: the standard deviation of its size (n,), where it is known; and that of a sudden change's (n,)
-    sd: Mapping[int, NDArray[np.float64]]
-    sudden_sd: NDArray[np.float64] | None
+    sudden_sd: NDArray[np.float64] | None  # the standard deviation of a sudden change's size (n,)
     unflown: NDArray[np.bool_] | None = None  # rows whose y is lost for being unlike the fitted flights (n,)
 
     def event(self, row: int, alarm: int, code: int) -> AlarmEvent:
         """Return the event that a row caused in an alarm."""
-        command = self.commands.get(alarm)
-        relative = self.relative.get(alarm)
-        # The estimate that raises an alarm is on its way yet, the one that clears it has no fault to tell of.
-        sd = self.sd.get(alarm) if code == UPDATED else None
+        command = relative = sd = None
+        if alarm < len(self.faults):
+            fault = self.faults[alarm]
+            # The estimate that raises an alarm is on its way yet, the one that clears it has no fault to tell of.
+            if (effect := self.effects.get(fault)) is not None:
+                relative = effect.share
+            else:
+                command = self.commands.get(fault)
+                sd = self.estimates.sd[:, fault] if code == UPDATED else None
         if code == RAISED and self.alarms[alarm].state.sudden:
             sd = self.sudden_sd
         return self.alarms[alarm].event(
@@ -459,13 +462,9 @@ class ObserverChain:
             beyond,
             excitation,
         )
-        scaled, relative = {}, {}
-        for alarm, fault in enumerate(self._faults):
-            if (effect := effects.get(fault)) is not None:
+        for fault, effect in effects.items():
+            if (alarm := self._alarm_of[fault]) >= 0:
                 speaking[:, alarm] &= ~np.isnan(effect.evidence)
-                relative[alarm] = effect.share
-            elif fault in commands:
-                scaled[alarm] = commands[fault]
         changes = None
         if self._changes is not None:
             asked = nats_asked(self._states[: len(self._faults)], evidence, speaking, alarm_scale, beyond)
@@ -489,13 +488,13 @@ class ObserverChain:
             position,
             rows,
             self._alarms,
-            scaled,
-            relative,
+            self._faults,
+            commands,
+            effects,
             found.smoothed,
             found.unexplained,
             scale,
             found.level,
-            {alarm: estimates.sd[:, fault] for alarm, fault in enumerate(self._faults) if alarm not in relative},
             None if changes is None else changes.sd,
         )
 
