@@ -194,6 +194,20 @@ def test_estimates_are_thinned_on_the_samples_time(endpoint: Endpoint, publisher
     }
 
 
+def test_estimates_are_made_while_somebody_receives_them(
+    endpoint: Endpoint, publisher: Publisher, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[int] = []
+    monkeypatch.setattr("monitor.bus.publisher.estimate_json", lambda *_: made.append(1) or {"made": len(made)})
+    publisher.estimates(estimates(0))
+    assert made == []
+    found = collect(endpoint.client(), "fauio/copter-1/estimate/*")
+    until(lambda: matched(endpoint, "fauio/copter-1/estimate/motors"))
+    publisher.estimates(estimates(1000))
+    until(lambda: bool(found))
+    assert found[0][1] == {"made": 1}
+
+
 def test_no_estimates_at_a_rate_of_zero(endpoint: Endpoint) -> None:
     publisher = Publisher(endpoint.session, "copter-1", [LAYOUT], estimate_rate_hz=0.0)
     found = collect(endpoint.client(), "fauio/copter-1/**")

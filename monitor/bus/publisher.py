@@ -64,7 +64,8 @@ class Publisher:
         self._period_ns = round(1e9 / estimate_rate_hz) if estimate_rate_hz > 0 else 0
         self._slots: dict[str, int] = {}
         self._layouts = {layout.observer: layout for layout in layouts}
-        self._estimates = {
+        # Any: zenoh's stubs call a matching status a bool
+        self._estimates: dict[str, Any] = {
             name: session.declare_publisher(
                 estimate_key(self._root, name),
                 encoding=zenoh.Encoding.APPLICATION_JSON,
@@ -113,15 +114,16 @@ class Publisher:
         publisher.put(payload, attachment=self._attachment(key, payload))
 
     def estimates(self, estimates: Estimates) -> None:
-        """Publish the first estimate of each slot of time that has none yet."""
+        """Publish the first estimate of each slot of time that has none yet; nothing is made where nobody receives."""
         if not self._period_ns:
             return
         observer = estimates.observer
+        publisher = self._estimates[observer]
         for row, time_ns in enumerate(estimates.samples.time_ns.tolist()):
             if self._slots.get(observer) != (slot := time_ns // self._period_ns):
                 self._slots[observer] = slot
-                payload = estimate_json(self._layouts[observer], estimates, row)
-                self._estimates[observer].put(to_json(payload))
+                if publisher.matching_status.matching:
+                    publisher.put(to_json(estimate_json(self._layouts[observer], estimates, row)))
 
     def status(self, status: Mapping[str, Any]) -> None:
         """Publish the daemon's status."""
