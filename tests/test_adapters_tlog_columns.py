@@ -121,7 +121,7 @@ def test_blocks_say_what_the_reader_says_whatever_the_log_holds(
 
 
 @given(st.randoms(use_true_random=True))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings().max_examples // 4)
 def test_a_damaged_flight_gives_the_same_in_batches(
     tmp_path_factory: pytest.TempPathFactory, draw: random.Random
 ) -> None:

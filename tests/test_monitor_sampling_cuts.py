@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from sampled import batches, packed, rows
 
@@ -112,9 +112,12 @@ def telemetry(
     return [replace(one, received_ns=one.received_ns + int(rng.exponential(delay_ms) * MS)) for one in found]
 
 
+HALF_AS_MANY = settings(max_examples=settings().max_examples // 2)
+"""Examples: each is seconds of telemetry, message by message."""
 CUTS = st.lists(st.integers(0, 800), max_size=6)
 
 
+@HALF_AS_MANY
 @given(st.integers(0, 2**32), CUTS, st.sampled_from([0.0, 0.02, 0.3, 0.7]), st.sampled_from([1.0, 20.0, 2000.0]))
 def test_batches_of_any_length_give_the_bits_of_single_messages_whatever_is_lost(
     seed: int, cuts: list[int], loss: float, delay_ms: float
@@ -124,6 +127,7 @@ def test_batches_of_any_length_give_the_bits_of_single_messages_whatever_is_lost
     compare(messages, *SETUPS, cuts=cuts)
 
 
+@HALF_AS_MANY
 @given(st.integers(0, 2**32), CUTS, st.integers(2, 40), st.floats(0.0, 0.05))
 def test_so_they_do_with_repeated_and_overtaking_messages(seed: int, cuts: list[int], reach: int, share: float) -> None:
     rng = np.random.default_rng(seed)
@@ -176,6 +180,7 @@ def damaged(messages: list[Message], at: int, how: str) -> list[Message]:
     return messages[:at] + shifted
 
 
+@HALF_AS_MANY
 @given(st.integers(0, 2**32), CUTS, DAMAGE)
 def test_so_they_do_with_damaged_values_and_stamps_reboots_jumps_and_gaps(
     seed: int, cuts: list[int], damage: list[tuple[int, str]]
@@ -186,6 +191,7 @@ def test_so_they_do_with_damaged_values_and_stamps_reboots_jumps_and_gaps(
     compare(messages, *SETUPS, cuts=cuts)
 
 
+@HALF_AS_MANY
 @given(st.integers(0, 2**32), CUTS, st.sampled_from("ABCPW"), st.integers(0, 3), st.integers(0, 5))
 def test_so_they_do_where_a_channel_stops_comes_late_or_never(
     seed: int, cuts: list[int], name: str, first: int, last: int

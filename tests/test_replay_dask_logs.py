@@ -74,7 +74,7 @@ def test_twenty_flights_give_the_same_one_by_one_in_two_processes_and_on_a_clust
     assert sum(len(log["alarms"]) for log in logs) == said[0][2].count("\n") > 0
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:{free}", "bogus://x:1"])
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:{free}", pytest.param("bogus://x:1", marks=pytest.mark.long)])
 def test_an_address_where_nobody_is_gets_one_line(data: Path, address: str) -> None:
     address = address.format(free=free_ports(1)[0])
     command = ["replay", str(QUAD), str(data / "copter_5s.tlog.xz"), "--dask", address]
