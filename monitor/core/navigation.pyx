@@ -116,9 +116,6 @@ cdef double[2] _MOST = [1.0, 4.0]
 cdef double _TURNED = 0.5
 # Steps with a fault that no hypothesis tells until the filter begins anew: a second set of onsets.
 cdef int _HELPLESS = 2 * ONSETS
-# Share of a step of the GPS's velocity that may be left of what led it away where it leads back: of one that turns
-# round half is left, and this is halfway.
-cdef double _LEFT = 0.25
 # Fixes that tell a step from a turn: the line from one measurement to the next may hide it in the first of them.
 cdef int _STEPS = 3
 # Steps between two onsets.
@@ -445,11 +442,11 @@ cdef class Navigation:
     cdef void put_off(self, int m, double size) noexcept:
         """Take a step for one of the GPS's velocity; one that leads back ends what led it away, and it is right."""
         self._offset[m] += size
-        if fabs(self._offset[m]) < _LEFT * fabs(size):
+        if fabs(self._offset[m]) < 0.5 * fabs(size):
             self._velocity[m] += self._offset[m]
             self._offset[m] = self._drift[m] = 0.0
+            self.returned |= self._led[m]
             self._led[m] = False
-            self.returned = True
         self._count = 0
 
     cdef double led(self, int axis) noexcept:
