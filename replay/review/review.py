@@ -28,11 +28,6 @@ class ReviewFinding:
     rank: Literal["first", "later", "throughout", ""]
 
     @property
-    def first(self) -> bool:
-        """Whether it is the first thing that stopped following."""
-        return self.rank == "first"
-
-    @property
     def counter(self) -> tuple[str, ...]:
         """What else looks so, and why it is not that."""
         return *self.rule.counter, *self.judgement.counter
@@ -52,7 +47,7 @@ class LogReview:
     @property
     def first(self) -> ReviewFinding | None:
         """The first thing that stopped following."""
-        return next((finding for finding in self.findings if finding.first), None)
+        return next((finding for finding in self.findings if finding.rank == "first"), None)
 
     @property
     def sentence(self) -> str:
@@ -71,9 +66,8 @@ class LogReview:
             return f"Nothing wrong found in {self.facts.flight_text}; {watched}."
         text = first.judgement.text
         said = f"First, at {first.judgement.start_s:.1f} s, {text} ({first.judgement.confidence})."
-        worst = next(
-            (finding for finding in self.findings if finding.judgement.weight == "critical" and not finding.first), None
-        )
+        critical = (finding for finding in self.findings if finding.judgement.weight == "critical")
+        worst = next((finding for finding in critical if finding is not first), None)
         if worst is not None and first.judgement.weight != "critical":
             said += f" Then, at {worst.judgement.start_s:.1f} s, {worst.judgement.text}."
         return said[0].upper() + said[1:]

@@ -151,11 +151,9 @@ def _position_apart(records: LogRecords, kalman: str, texts: Sequence[tuple[floa
 
     Before 4.0 ArduPilot logged the controller's in centimetres under the same name.
     """
-    north = first_known(
-        *(records.signal(name, [field], ["apart"], "m") for name, field in (("PSCN", "PN"), ("PSC", "PX")))
-    )
-    east = first_known(
-        *(records.signal(name, [field], ["apart"], "m") for name, field in (("PSCE", "PE"), ("PSC", "PY")))
+    north, east = (
+        first_known(*(records.signal(name, [field], ["apart"], "m") for name, field in known))
+        for known in ((("PSCN", "PN"), ("PSC", "PX")), (("PSCE", "PE"), ("PSC", "PY")))
     )
     lanes = [records.signal(f"{kalman}1{k}", ["PN", "PE"], ["north", "east"], "m") for k in ("", "/1", "/2")]
     times = north.time_s

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from monitor.alarms.command_watch import CommandSent
 from replay.review.facts.log_facts import (
     NO_SIGNAL,
-    Floats,
     LogFacts,
     LogRecords,
     LogSignal,
+    Spans,
     Statement,
     first_known,
     inside,
@@ -78,8 +78,7 @@ def px4_facts(records: LogRecords) -> LogFacts:
     axes = [f"accelerometer_m_s2[{k}]" for k in range(3)]
     signals["acceleration"] = get("sensor_combined", axes, ["x", "y", "z"], "m/s2")
     _battery(records, signals, lacks)
-    fused = first_known(*(get("estimator_status_flags", [name], ["gps"], "") for name in ("cs_gps", "cs_gnss_pos")))
-    _gps(records, fused, signals, lacks, flight)
+    _gps(records, signals, lacks, flight)
     ratios = ["vel_test_ratio", "pos_test_ratio", "hgt_test_ratio"]
     signals["ratios"] = get("estimator_status", ratios, ["velocity", "position", "height"], "")
     counters = [f"{name}_reset_counter" for name in ("xy", "z", "vxy", "vz")]
@@ -100,7 +99,7 @@ def px4_facts(records: LogRecords) -> LogFacts:
     )  # fmt: skip
 
 
-def _motors(records: LogRecords, armed: Sequence[tuple[float, float]], lacks: dict[str, str]) -> LogSignal:
+def _motors(records: LogRecords, armed: Spans, lacks: dict[str, str]) -> LogSignal:
     """Return the commands of the outputs that move: a mixer's are logged whether anything is connected or not."""
     controls = [f"control[{k}]" for k in range(_MOST_ROTORS)]
     numbers = [f"motor{k + 1}" for k in range(_MOST_ROTORS)]
@@ -111,23 +110,17 @@ def _motors(records: LogRecords, armed: Sequence[tuple[float, float]], lacks: di
         values = np.where(np.isnan(commands.values[:, there]), 0.0, commands.values[:, there])
         names = tuple(name for name, known in zip(numbers, there, strict=True) if known)
         return LogSignal(commands.time_s, values, names, "of full", "actuator_motors")
-    moving: list[tuple[int, LogSignal]] = []
+    moving: list[LogSignal] = []
     for topic in ("actuator_outputs", "actuator_outputs/1", "actuator_outputs/2", "actuator_outputs/3"):
         outputs = records.signal(topic, [f"output[{k}]" for k in range(8)], numbers[:8], "of full")
-        if not outputs:
-            continue
         during = outputs.values[inside(outputs.time_s, armed)]
-        moves = np.ptp(during, axis=0) > 0 if len(during) else np.zeros(8, np.bool_)
-        if not moves.any():
-            lacks[topic] = "its outputs never move while armed: nothing that flies is connected to it"
-            continue
-        moving.append((int(_varied(during).sum()), _scaled(outputs, _varied(during))))
-    return max(moving, key=lambda entry: entry[0])[1] if moving else NO_SIGNAL
-
-
-def _varied(values: Floats) -> NDArray[np.bool_]:
-    """Return which outputs take many values: a switch or a constant takes few."""
-    return np.array([len(np.unique(column)) > _FEW_VALUES for column in values.T])
+        # a switch or a constant takes few values
+        varied = np.array([len(np.unique(column)) > _FEW_VALUES for column in during.T])
+        if varied.any():
+            moving.append(_scaled(outputs, varied))
+        elif outputs:
+            lacks["motors"] = "outputs are logged, but none moves while armed: nothing that flies is connected to them"
+    return max(moving, key=lambda outputs: len(outputs.names), default=NO_SIGNAL)
 
 
 _FEW_VALUES = 10
@@ -148,7 +141,7 @@ def _scaled(outputs: LogSignal, moves: NDArray[np.bool_]) -> LogSignal:
     return LogSignal(outputs.time_s, share, names, "of full", outputs.origin)
 
 
-def _rpm(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSignal:
+def _rpm(records: LogRecords, armed: Spans) -> LogSignal:
     rows = [(at, row) for at, row in records.listed("esc_status") if isinstance(row.get("esc"), list)]
     count = max((int(row.get("esc_count", 0)) for _, row in rows), default=0)
     if not count:
@@ -170,14 +163,10 @@ def _battery(records: LogRecords, signals: dict[str, LogSignal], lacks: dict[str
     signals["battery"] = battery
 
 
-def _gps(
-    records: LogRecords,
-    fused: LogSignal,
-    signals: dict[str, LogSignal],
-    lacks: dict[str, str],
-    flight: Sequence[tuple[float, float]],
-) -> None:
+def _gps(records: LogRecords, signals: dict[str, LogSignal], lacks: dict[str, str], flight: Spans) -> None:
     gps = records.signal("vehicle_gps_position", ["fix_type", "satellites_used"], ["fix", "satellites"], "")
+    uses = (records.signal("estimator_status_flags", [name], ["gps"], "") for name in ("cs_gps", "cs_gnss_pos"))
+    fused = first_known(*uses)
     if not fused:
         flags = records.signal("estimator_status", ["control_mode_flags"], ["flags"], "")
         bit = (flags.only.astype(np.int64) >> _GPS_BIT) & 1

@@ -34,15 +34,17 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, motors: LogS
         axis = int(np.argmax(np.nanmax(apart[within], axis=0)))
         most = float(np.nanmax(apart[within, axis]))
         name = attitude.names[axis]
-        saturated = _saturated(facts, start)
+        about = motors.during(start - 1.0, start + 1.0)
+        peaks = np.nanmax(about.values, axis=0, initial=0.0)
+        full = [motor for motor, peak in zip(motors.names, peaks.tolist(), strict=True) if peak > FULL]
         yield Judgement(
             start_s=start,
             end_s=end,
             text=f"{name} went up to {most:.0f} degrees from what the autopilot wanted, for {end - start:.1f} s"
-            + saturated[0],
+            + (f", with {' and '.join(full)} at full command" if full else ""),
             evidence=(
                 f"{attitude.origin} against {wanted.origin}: {most:.0f} degrees apart in {name} from {start:.2f} s on",
-                *saturated[1],
+                *([f"{motors.origin}: {', '.join(full)} at full command"] if full else []),
                 *_high(facts, start),
             ),
             weight="critical",
@@ -73,17 +75,6 @@ def _high(facts: LogFacts, at_s: float) -> Iterator[str]:
     height = facts.signals.get("height")
     if height is not None:
         yield f"{height.origin}: {height.at(np.array([at_s]))[0, 0]:.1f} m above where the log begins"
-
-
-def _saturated(facts: LogFacts, at_s: float) -> tuple[str, tuple[str, ...]]:
-    """Return which motor was at full command about a time, in words."""
-    motors = facts.signals["motors"]
-    about = motors.during(at_s - 1.0, at_s + 1.0)
-    most = zip(about.names, np.nanmax(about.values, axis=0, initial=0.0), strict=True)
-    full = [name for name, value in most if value > FULL]
-    if not full:
-        return "", ()
-    return f", with {' and '.join(full)} at full command", (f"{motors.origin}: {', '.join(full)} at full command",)
 
 
 RULE = Rule(

@@ -16,15 +16,12 @@ _LATER_S = 1.0
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     end_s = lost_s(facts) + _LATER_S
-    said = [
-        statement
-        for statement in facts.statements
-        if statement.kind == "failsafe" and statement.level and statement.time_s < end_s
-    ]
-    flown = facts.in_flight(np.array([statement.time_s for statement in said])).tolist()
-    said = [statement for statement, flies in zip(said, flown, strict=True) if flies]
-    for text in dict.fromkeys(statement.text for statement in said):
-        times = [statement.time_s for statement in said if statement.text == text]
+    said = [one for one in facts.statements if one.kind == "failsafe" and one.level and one.time_s < end_s]
+    flown = facts.in_flight(np.array([one.time_s for one in said]))
+    for text in dict.fromkeys(one.text for one in said):
+        times = [one.time_s for one, flies in zip(said, flown.tolist(), strict=True) if flies and one.text == text]
+        if not times:
+            continue
         yield Judgement(
             start_s=times[0],
             end_s=times[-1],

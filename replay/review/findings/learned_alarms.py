@@ -56,7 +56,8 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
         staying = [alarm for alarm in every if _stays(alarm, facts, end_s)]
         own = staying or every
         largest = max(own, key=lambda alarm: alarm.share)
-        enough = bool(staying) and largest.share >= _least_share(channels, largest) and not _within_accuracy(largest)
+        accurate = channel in _POSITIONS and largest.size < _ACCURACY_M
+        enough = bool(staying) and largest.share >= _least_share(channels, largest) and not accurate
         # a heading off and a turn rate off look alike to the sensors that are left
         either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
         yield Judgement(
@@ -77,10 +78,6 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
 def _least_share(channels: Mapping[tuple[str, ...], float], alarm: LearnedAlarm) -> float:
     """Return how many times its threshold an alarm has to be; NaN of a channel that is not asked for."""
     return next((share for words, share in channels.items() if alarm.channel.startswith(words)), nan)
-
-
-def _within_accuracy(alarm: LearnedAlarm) -> bool:
-    return alarm.channel in _POSITIONS and alarm.size < _ACCURACY_M
 
 
 def _overlaps(alarms: Sequence[LearnedAlarm], watch: LearnedWatch, channel: str) -> bool:
