@@ -95,7 +95,6 @@ class _Axis:
     p: FloatArray
     error_std: float
     explained: float
-    t_value: float
 
 
 def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> MultirotorFit:
@@ -228,9 +227,7 @@ def _axes(
         X = np.column_stack([np.ones(len(e)), change[:, o], middle[:, o]])
         p = np.linalg.lstsq(X, e, rcond=None)[0]
         std = float((e - X @ p).std())
-        error = std * float(np.sqrt(np.linalg.pinv(X.T @ X)[1, 1]))
-        variance = max(float(e.var()), 1e-300)
-        axes.append(_Axis(p, max(std, 1e-12), 1.0 - std**2 / variance, float(p[1]) / max(error, 1e-300)))
+        axes.append(_Axis(p, max(std, 1e-12), 1.0 - std**2 / max(float(e.var()), 1e-300)))
     return axes
 
 
