@@ -101,9 +101,20 @@ def test_a_vehicle_that_says_nothing_is_not_watched_at_the_height_of_its_home(ab
 @pytest.mark.parametrize("above_mm", [-2500, 2500])
 def test_elsewhere_it_is(above_mm: int) -> None:
     known = phase(landed=None)
-    known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", 0, {"relative_alt": 0}, 1, 1))
-    known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", 1, {"relative_alt": above_mm}, 1, 1))
+    for arrival_ns, height_mm in ((0, 0), (1, above_mm)):
+        known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", arrival_ns, {"relative_alt": height_mm}, 1, 1))
     assert admitted(GateRule(settle_s=0.0), commanded(0.5), (known, 1)) == [True]
+
+
+def test_a_forged_height_of_its_home_among_true_ones_does_not_end_the_watch() -> None:
+    known = phase(landed=None)
+    for tick in range(50):
+        height = {"relative_alt": 0 if tick % 5 == 4 else 80_000}
+        known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", tick * 200_000_000, height, 1, 1))
+        assert admitted(GateRule(settle_s=0.0), commanded(0.5), (known, 1)) == [True]
+    for tick in range(50, 70):  # landed: no other height for three seconds
+        known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", tick * 200_000_000, {"relative_alt": 0}, 1, 1))
+    assert admitted(GateRule(settle_s=0.0), commanded(0.5), (known, 1)) == [False]
 
 
 def test_a_height_that_is_not_sent_any_more_holds_for_three_seconds() -> None:

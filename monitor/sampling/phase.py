@@ -129,9 +129,11 @@ class FlightPhase:
         self._beats = Said()
         self._landings = Said()
         self._logged = False  # whether the reports are those of the vehicle's own log
-        # when it was last reported to be high, or at about the height of its home; None where it is not or unknown
+        # when it was last reported to be high; at about the height of its home, with no other report of the last
+        # seconds; at another height. None where it is not or unknown
         self._high_ns: int | None = None
         self._low_ns: int | None = None
+        self._away_ns: int | None = None
 
     @property
     def airborne(self) -> bool | None:
@@ -181,7 +183,11 @@ class FlightPhase:
             height = message.fields.get("relative_alt")
             above_mm = height if message.source is MAVLINK and isinstance(height, int | float) else nan
             self._high_ns = now_ns if above_mm > _HIGH_MM else None
-            self._low_ns = now_ns if abs(above_mm) <= _HIGH_MM else None
+            if abs(above_mm) > _HIGH_MM:
+                self._away_ns = now_ns
+            # Forged among true ones, a height of its home must not end the watch.
+            was_away = self._away_ns is not None and 0 <= now_ns - self._away_ns < _RECENT_NS
+            self._low_ns = now_ns if abs(above_mm) <= _HIGH_MM and not was_away else None
             return
         is_heartbeat = is_autopilot_heartbeat(message)
         if is_heartbeat:
