@@ -193,10 +193,10 @@ class MessageLogWriter:
         if channel is None or not 0 <= record.time_ns < 1 << 64:
             self._unrecordable += 1
             return
-        self.add(channel, record.data, record.time_ns, record.publish_ns)
+        self.add_all([channel], [record.data], [record.time_ns], record.publish_ns)
 
     def channel(self, topic: str, encoding: str, schema: Schema | None) -> int | None:
-        """Return the id of a channel for :meth:`add`, None where it would be new and the file has too many already."""
+        """Return a channel's id for :meth:`add_all`, None where it would be new and the file has too many already."""
         known = self._channel_ids.get((topic, encoding, schema))
         if known is not None or len(self._channel_ids) >= MAX_CHANNELS:
             return known
@@ -213,16 +213,13 @@ class MessageLogWriter:
         self._channel_ids[topic, encoding, schema] = number
         return number
 
-    def add(self, channel: int, data: bytes, time_ns: int, publish_ns: int | None = None) -> None:
-        """Record encoded data on a channel; times are Unix nanoseconds, neither negative nor beyond 64 bits."""
-        self.add_all([channel], [data], [time_ns], publish_ns)
-
     def add_all(
         self, channels: Sequence[int], data: Sequence[bytes], times_ns: Sequence[int], publish_ns: int | None = None
     ) -> None:
-        """Record encoded data, each on its channel, in their order; see :meth:`add`.
+        """Record encoded data, each on its channel, in their order.
 
-        Publish time and log time are the same where no other is given.
+        Times are Unix nanoseconds, neither negative nor beyond 64 bits. Publish time and log time are the same where no
+        other is given.
         """
         if self._closed:
             raise RuntimeError("the log is closed; open another one")

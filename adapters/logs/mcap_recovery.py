@@ -129,7 +129,7 @@ class _Finisher(MessageLogWriter):
         if again is not None:
             self._definitions += self._schemas + self._channels
             for channel, time_ns, publish_ns, data in again.messages:
-                self.add(channel, data, time_ns, publish_ns)
+                self.add_all([channel], [data], [time_ns], publish_ns)
         self.close()
         os.fsync(self._file.fileno())
         return Recovery(self._path, self.written, 0 if again else size - end)

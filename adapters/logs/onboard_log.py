@@ -236,11 +236,6 @@ class Records:
     # names and fields of those, by their index
     decoded: dict[int, tuple[str, dict[str, Any]]] = field(default_factory=dict)
 
-    def add(self, start: int, kind: RecordKind) -> None:
-        """Add a record whose fields begin at a place of the data."""
-        self.start.append(start)
-        self.kind.append(kind)
-
     def add_decoded(self, name: str, fields: dict[str, Any]) -> None:
         """Add a record that is decoded already."""
         self.decoded[len(self.start)] = name, fields

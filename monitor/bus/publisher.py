@@ -131,15 +131,10 @@ class Publisher:
 
     def close(self) -> None:
         """Withdraw everything declared, the liveliness token first; a second call does nothing."""
-        declared: list[Any] = [
-            self._token,
-            *self._queryables,
-            *self._alarms.values(),
-            *self._estimates.values(),
-        ]
         if not self._closed:
             self._closed = True
-            for entity in (*declared, self._status):
+            declared: list[Any] = [*self._queryables, *self._alarms.values(), *self._estimates.values()]
+            for entity in (self._token, *declared, self._status):
                 entity.undeclare()
 
     def _answer_current(self, query: zenoh.Query) -> None:

@@ -110,12 +110,11 @@ class Archive:
         """Whether clips are being made."""
         return self._black_box is not None and self._black_box.has_clips
 
-    def work(self, max_records: int, now_ns: int) -> int:
-        """Write up to so many records of open clips; return how many were written."""
-        if self._black_box is None:
-            return 0
-        self.encode()
-        return self._black_box.work(max_records, now_ns)
+    def work(self, max_records: int, now_ns: int) -> None:
+        """Write up to so many records of open clips."""
+        if self._black_box is not None:
+            self.encode()
+            self._black_box.work(max_records, now_ns)
 
     def close(self) -> None:
         """Finish the recording and the open clips; a second call does nothing."""

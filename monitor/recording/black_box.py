@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Final
 
@@ -174,7 +175,7 @@ class BlackBox:
         alarm = {"alarm_id": event.id, "alarm_channel": event.channel, "alarm_observer": event.observer}
         alarms = [*dict.fromkeys(raised for at_ns, raised in self._raised if now - at_ns <= self._before_ns)]
         waiting = self._held.copy()
-        waiting.extendleft(sorted(self._phase.values(), key=_time_ns, reverse=True))
+        waiting.extendleft(sorted(self._phase.values(), key=itemgetter(2), reverse=True))
         self._clips.append(_Clip(path, now, now + self._after_ns, self._metadata | alarm, waiting, alarms))
 
     def work(self, max_records: int, now_ns: int | None = None) -> int:
@@ -327,7 +328,3 @@ class BlackBox:
 
     def _make_room(self, clip: _Clip) -> None:
         self._retention.make_room(keep={clip.path, *(other.path for other in self._clips)})
-
-
-def _time_ns(record: EncodedRecord) -> int:
-    return record[2]
