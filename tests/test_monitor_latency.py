@@ -1,9 +1,12 @@
 """Quantiles within their stated error, whatever the latencies; intervals of their own; a histogram that adds up."""
 
+import time
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.service.latency import LatencyHistogram, LatencyStatistics
+from monitor.service.latency import ArrivalClock, LatencyHistogram, LatencyStatistics
 
 LATENCIES = st.lists(st.integers(0, 1 << 39), min_size=1, max_size=60)
 
@@ -50,3 +53,18 @@ def test_latencies_that_cannot_be_count_at_the_ends() -> None:
     statistics = filled([-5, 1 << 80]).statistics()
     assert (statistics.count, statistics.p50_s) == (2, 0.0)
     assert 1000 < statistics.max_s < 1200
+
+
+@pytest.mark.parametrize("step_s", [7200, -7200, 3])
+def test_what_came_before_the_clock_was_set_is_as_old_as_it_is(monkeypatch: pytest.MonkeyPatch, step_s: int) -> None:
+    real, steady, set_ns, gone_ns = time.time_ns, time.monotonic_ns, [0], [0]
+    monkeypatch.setattr("time.time_ns", lambda: real() + set_ns[0] + gone_ns[0])
+    monkeypatch.setattr("time.monotonic_ns", lambda: steady() + gone_ns[0])
+    clock = ArrivalClock()
+    came_ns = time.time_ns() - 2_000_000_000
+    set_ns[0] = step_s * 1_000_000_000
+    before, after = clock.ages_ns([came_ns, time.time_ns() - 1_000_000_000])
+    assert 1.99 <= before / 1e9 < 2.9
+    assert 0.99 <= after / 1e9 < 1.9
+    gone_ns[0] = 61_000_000_000
+    assert 4.99 <= clock.ages_ns([time.time_ns() - 5_000_000_000])[0] / 1e9 < 5.9

@@ -60,6 +60,13 @@ def test_a_message_that_comes_too_seldom_is_named_with_its_rate(telemetry: Telem
     assert telemetry.run(20, dict.fromkeys(telemetry.names, rate)) == []
 
 
+@pytest.mark.parametrize("hours", [2, -2])
+def test_a_clock_that_is_set_is_no_telemetry_that_lacks(telemetry: Telemetry, hours: int) -> None:
+    rates = dict.fromkeys(telemetry.names, round(telemetry.observer.rate_hz))
+    assert telemetry.run(12, rates) == []
+    assert telemetry.watch.lacks(telemetry.now_ns + hours * 3600 * SECOND_NS) == []
+
+
 @pytest.mark.parametrize("speed", [0.2, 8.0])
 def test_a_simulation_may_run_at_any_speed(telemetry: Telemetry, speed: float) -> None:
     rates = dict.fromkeys(telemetry.names, round(telemetry.observer.rate_hz))

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 from monitor.service.fleet import Fleet
 from monitor.service.inbox import Arrival, Inbox
+from monitor.service.latency import ArrivalClock
 from monitor.service.vehicle_service import VehicleService
 
 _POLL_S = 0.05
@@ -53,6 +54,7 @@ class Daemon:
         self._every_turn = every_turn
         self._alive = alive
         self._held_ns = round(1e9 * batch_s)
+        self._clock = ArrivalClock()
 
     def run(self) -> None:
         """Monitor until a turn says that it is over, and process the batches of that turn."""
@@ -85,5 +87,5 @@ class Daemon:
 
     def _process(self, arrivals: Sequence[Arrival]) -> None:
         for vehicle, batch in self._fleet.routed(arrivals):
-            vehicle.process(batch, time.time_ns)
+            vehicle.process(batch, self._clock.ages_ns)
             self._alive()

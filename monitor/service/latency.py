@@ -6,6 +6,7 @@ five leading bits and how many follow.
 
 from __future__ import annotations
 
+import time
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +20,31 @@ _LARGEST_NS = (1 << 40) - 1
 _BUCKETS = (_LARGEST_NS.bit_length() - _LEADING_BITS) * _PER_OCTAVE + (1 << _LEADING_BITS)
 # upper bounds offered to Prometheus: each factor of two from 16 us to 17 s is a bucket boundary here too
 _EXPORTED_EXPONENTS = range(14, 35)
+
+
+_STEP_NS = 1_000_000_000
+"""Unix time that moves by more against the monotonic clock was set. Chosen: from there on a monitor is said to lag."""
+_SET_NS = 60_000_000_000
+"""So long what arrived before the clock was set may still wait: six times what a link believes of the kernel."""
+
+
+class ArrivalClock:
+    """Tells how long ago messages arrived, also those that came before Unix time was set."""
+
+    def __init__(self) -> None:
+        self._ahead_ns = self._before_ns = time.time_ns() - time.monotonic_ns()
+        self._set_ns = 0
+
+    def ages_ns(self, received_ns: Sequence[int]) -> list[int]:
+        """Return the ages of messages by Unix times of arrival, each by the clock that makes it the younger one."""
+        steady_ns = time.monotonic_ns()
+        before_ns, self._ahead_ns = self._ahead_ns, time.time_ns() - steady_ns
+        if abs(self._ahead_ns - before_ns) > _STEP_NS:
+            self._before_ns, self._set_ns = before_ns, steady_ns
+        now_ns, then_ns = steady_ns + self._ahead_ns, steady_ns + self._before_ns
+        if not self._set_ns or steady_ns - self._set_ns > _SET_NS:
+            return [now_ns - one for one in received_ns]
+        return [max(min(now_ns - one, then_ns - one, key=lambda age: (age < 0, age)), 0) for one in received_ns]
 
 
 @dataclass(frozen=True, slots=True)

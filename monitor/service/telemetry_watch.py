@@ -36,7 +36,7 @@ class TelemetryWatch:
         self._sampled: dict[str, int] = {}
         self._counts: Counter[str] = Counter()
         self._samples: Counter[str] = Counter()
-        self._counted_ns = now_ns
+        self._counted_ns = self._asked_ns = now_ns
         self._slow: dict[str, str] = {}
 
     def count_messages(self, name: str, received_ns: int, count: int = 1) -> None:
@@ -58,7 +58,7 @@ class TelemetryWatch:
 
     def pause(self, now_ns: int) -> None:
         """Begin anew: until now nothing came, or what came was not taken in time."""
-        self._since_ns, self._silent = now_ns, True
+        self._since_ns, self._silent, self._asked_ns = now_ns, True, now_ns
         self._slow = {}
         self._count_anew(now_ns)
 
@@ -74,10 +74,11 @@ class TelemetryWatch:
         return found
 
     def _count(self, now_ns: int) -> None:
-        elapsed_ns = now_ns - self._counted_ns
-        if elapsed_ns < 0:
+        away_ns, self._asked_ns = now_ns - self._asked_ns, now_ns
+        if not 0 <= away_ns < _COUNTED_NS:
+            # Asked every second: the clock was set, or the process stood still.
             self.pause(now_ns)
-        elif elapsed_ns >= _COUNTED_NS:
+        elif now_ns - self._counted_ns >= _COUNTED_NS:
             lines = {observer.name: self._seldom(observer) for observer in self._observers}
             self._slow = {name: line for name, line in lines.items() if line}
             self._count_anew(now_ns)

@@ -165,11 +165,11 @@ class VehicleMonitor:
         if self._journal is not None:
             self._journal.write(event)
 
-    def process(self, batch: Batch, clock: Callable[[], int] | None = None) -> list[AlarmEvent]:
+    def process(self, batch: Batch, ages_ns: Callable[[Sequence[int]], list[int]] | None = None) -> list[AlarmEvent]:
         """Run a batch through the pipeline, record and publish the results; return the published events.
 
-        Messages are in order of arrival, of this vehicle or of others. ``clock`` gives Unix time, to measure how late
-        messages and events are.
+        Messages are in order of arrival, of this vehicle or of others. ``ages_ns`` tells how long ago times of arrival
+        were, to measure how late messages and events are.
         """
         outputs = self.pipeline.run(batch)
         own = chosen(batch, self.pipeline.accepts)
@@ -193,13 +193,12 @@ class VehicleMonitor:
         events = self._publish(outputs)
         if commanded:
             self._note_shelved()
-        if clock is not None and telemetry:
-            now_ns = clock()
-            self.latency.add([now_ns - received_ns for received_ns in telemetry])
+        if ages_ns is not None and telemetry:
+            self.latency.add(ages_ns(telemetry))
             if events:
                 # The packet that caused an event is one of this batch, however the vehicle's clock is set.
                 first_ns, last_ns = min(telemetry), max(telemetry)
-                self.alarm_latency.add([now_ns - min(max(event.time_ns, first_ns), last_ns) for event in events])
+                self.alarm_latency.add(ages_ns([min(max(event.time_ns, first_ns), last_ns) for event in events]))
         return events
 
     def pass_time(self, now_ns: int) -> None:

@@ -155,7 +155,7 @@ def _await_subscriber(session: zenoh.Session, key: str) -> None:
             time.sleep(0.01)
 
 
-def _since(received_ns: int) -> Callable[[], int]:
-    """Return a clock that shows this time of arrival now: what it says later is how long the monitor took."""
-    started_ns = time.monotonic_ns()
-    return lambda: received_ns + time.monotonic_ns() - started_ns
+def _since(received_ns: int) -> Callable[[Sequence[int]], list[int]]:
+    """Return what tells ages by a clock that stands at a log's time now and goes on."""
+    behind_ns = received_ns - time.monotonic_ns()
+    return lambda times_ns: [time.monotonic_ns() + behind_ns - one for one in times_ns]
