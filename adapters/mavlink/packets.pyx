@@ -21,11 +21,11 @@ from adapters.message import LATEST_NS
 
 cdef uint64_t LATEST_US = LATEST_NS // 1_000  # where a later time stands, no record begins
 
-# Further behind than networks reorder, a packet is the first after a restart or a long gap.
-cdef int REORDERED = 32
 # How long a packet's number is remembered. A vehicle that starts anew is away for longer; where it is not, conflicts
 # end as soon, for what it sent before is forgotten.
 cdef int64_t FRESH_NS = 2_000_000_000
+# Further behind a packet that was not missing is the first after a restart. Chosen: more than networks reorder.
+cdef int REORDERED = 32
 # After a longer silence a number is taken to be ahead: so many may have been lost that it seems to lie behind. Chosen:
 # of 1,000 packets a second, as many as a link carries, no more than half a turn is lost in less.
 cdef int64_t SILENT_NS = 100_000_000
@@ -45,7 +45,8 @@ cdef enum:
     UNKNOWN = -1  # kind of a message that is not in the dialect
     TYPE = 4  # byte of HEARTBEAT, the first message of the dialect, with the type of what sends it
     GROUND_STATION = 6  # MAV_TYPE_GCS
-    SENDERS = 32  # whose numbers are compared: two of each of 16 vehicles, 6 KB each
+    MISSING = -1
+    SENDERS = 128  # whose numbers are compared: two of each of 64 vehicles, 6 KB each
     CONFLICTS = 3  # that show two senders: one by chance, and one when a sender starts anew, are none
     STAMP = 8  # bytes of a telemetry log before each packet: microseconds since 1970, big-endian
     # Of a record that does not begin where one is looked for, and of one whose end has not come yet.
@@ -387,13 +388,14 @@ cdef class PacketScanner:
 
 cdef struct Numbered:
     int64_t index  # its number without turns
-    int64_t received_ns
+    int64_t received_ns  # MISSING where it has not come
     uint16_t checksum
 
 
 cdef struct Sender:
     Py_ssize_t ids  # system and component; -1: nobody
     int64_t newest  # number of its newest packet without turns
+    uint8_t counted  # sequence number up to which losses are counted
     int64_t advanced  # the same at the last conflict
     int64_t received_ns
     int64_t first_ns, last_ns  # the first and the last of its conflicts that go on
@@ -408,19 +410,20 @@ cdef class SequenceCounter:
     packet, which came twice. A sender that starts anew makes conflicts, too, but only with what came before: three over
     more than 2 s have two senders.
 
-    Of ground stations nothing is counted as lost: they count all that they send, and of that only heartbeats are
-    forwarded. Its memory does not grow with senders: packets of strangers may claim to be anybody's.
+    What is missing counts as lost until it comes, up to half a turn behind the newest; a gap of half a turn and more
+    counts as none. Of ground stations nothing is counted as lost: they count all that they send, and of that only
+    heartbeats are forwarded. Its memory does not grow with senders: packets of strangers may claim to be anybody's.
     """
 
-    cdef int16_t[::1] _newest
     cdef int64_t[::1] _lost
+    cdef int64_t[::1] _told
     cdef uint8_t[256] _stations
     cdef Sender* _senders
 
     def __cinit__(self):
         cdef Py_ssize_t k
-        self._newest = np.full(1 << 16, -1, np.int16)
         self._lost = np.zeros(1 << 8, np.int64)
+        self._told = np.zeros(1 << 8, np.int64)
         self._senders = <Sender*>PyMem_Calloc(SENDERS, sizeof(Sender))
         if self._senders == NULL:
             raise MemoryError
@@ -446,24 +449,16 @@ cdef class SequenceCounter:
             Of packets that show two senders: how many wanted ones came up to it, its time of arrival, system and
             component, and the conflicts so far.
         """
-        cdef Py_ssize_t k, sender, place = 0
-        cdef int ahead
+        cdef Py_ssize_t k, place = 0
         cdef Packet* row
         cdef Sender* known
         found = []
         for k in range(packets.count):
             row = &packets.rows[k]
             place += wanted is None or wanted[row.kind] != 0
-            sender = row.system << 8 | row.component
-            ahead = (row.sequence - self._newest[sender]) & 0xFF
-            if self._newest[sender] < 0 or 128 <= ahead < 256 - REORDERED:
-                self._newest[sender] = row.sequence
-            elif 0 < ahead < 128:
-                self._lost[row.system] += ahead - 1
-                self._newest[sender] = row.sequence
             if row.kind == 0 and row.length > TYPE:
                 self._stations[row.system] = packets.content[row.start + row.payload + TYPE] == GROUND_STATION
-            known = self._sender(sender, row.received_ns)
+            known = self._sender(row.system << 8 | row.component, row.received_ns)
             if known != NULL and self._conflicts(known, row, packets.content + row.start + row.payload + row.length):
                 found.append((place, row.received_ns, row.system, row.component, known.conflicts))
         return found
@@ -487,14 +482,23 @@ cdef class SequenceCounter:
         """Remember a packet; return whether two senders have shown themselves with it."""
         cdef Numbered* before = known.packets + row.sequence
         cdef uint16_t checksum = end[0] | end[1] << 8
-        cdef int64_t index, ahead
-        cdef bint conflict, fresh, silent = row.received_ns - known.received_ns >= SILENT_NS
-        fresh = before.received_ns != 0 and 0 <= row.received_ns - before.received_ns < FRESH_NS
+        cdef int64_t index, ahead, gone
+        cdef bint conflict, fresh, first = known.received_ns == 0
+        cdef bint silent = row.received_ns - known.received_ns >= SILENT_NS
+        fresh = before.received_ns > 0 and 0 <= row.received_ns - before.received_ns < FRESH_NS
         known.received_ns = row.received_ns
         if fresh and before.checksum == checksum:
             return False
         ahead = (row.sequence - known.newest) & 0xFF
         index = known.newest + (ahead if ahead < 128 or silent else ahead - 256)
+        gone = (row.sequence - known.counted) & 0xFF
+        if before.received_ns == MISSING and before.index == index:
+            self._lost[row.system] -= 1
+        elif first or 128 <= gone < 256 - REORDERED:
+            known.counted = row.sequence
+        elif 0 < gone < 128:
+            self._lost[row.system] += self._miss(known, index - gone + 1, index)
+            known.counted = row.sequence
         known.newest = max(known.newest, index)
         # Who does not count at all has one number.
         conflict = fresh and before.index == index and known.newest > known.advanced
@@ -509,9 +513,21 @@ cdef class SequenceCounter:
         known.lasting += 1
         return known.lasting >= CONFLICTS and known.last_ns - known.first_ns > FRESH_NS
 
+    cdef int64_t _miss(self, Sender* known, int64_t start, int64_t stop) noexcept:
+        """Note what of a gap has not come; return how many."""
+        cdef Numbered* one
+        cdef int64_t index, count = 0
+        for index in range(start, stop):
+            one = known.packets + (index & 0xFF)
+            if one.index != index:
+                one.index, one.received_ns = index, MISSING
+                count += 1
+        return count
+
     def lost(self):
-        """Return the packets lost by system, of vehicles that lost any."""
-        return {system: lost for system, lost in enumerate(self._lost) if lost and not self._stations[system]}
+        """Return the packets lost by system, of vehicles that lost any; never fewer than it was before."""
+        self._told = np.maximum(self._told, self._lost)
+        return {system: lost for system, lost in enumerate(self._told) if lost and not self._stations[system]}
 
 
 cdef uint64_t _stamp_us(const uint8_t* data) noexcept nogil:
