@@ -186,6 +186,8 @@ class EvidenceFlow:
             return f"no {' and no '.join(labels)}", f"no_message {missing[0]}"
         if now_ns - self._rows_ns >= self.missing_ns:
             return "measurements that do not come together", "gap"
+        if seldom := self.chain.sampler.seldom:
+            return f"{' and '.join(seldom)} that comes too seldom for what was fitted", "gap"
         if self._lost:
             return f"no {' and no '.join(self._lost)}", "gap"
         return "estimates without time to settle", "settling"

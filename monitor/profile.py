@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
@@ -43,6 +43,12 @@ from monitor.sampling.transform import SampleSource, TransformRule, make_transfo
 
 def read_source(table: Table, gains: Gains) -> SampleSource:
     """Return where an observer's samples come from, as its table says; mistakes are recorded in its file."""
+    rates = table.table("fitted_hz") if table.has("fitted_hz") else None
+    fitted_hz = {} if rates is None else {name: rates.number(name, above=0.0) for name in rates}
+    return replace(_read_source(table, gains), fitted_hz=fitted_hz)
+
+
+def _read_source(table: Table, gains: Gains) -> SampleSource:
     if not table.has("transform"):
         return SampleSource(
             _channels(table.table("inputs"), gains.inputs), _channels(table.table("outputs"), gains.outputs)
@@ -64,13 +70,14 @@ def read_source(table: Table, gains: Gains) -> SampleSource:
 
 def source_table(source: SampleSource) -> dict[str, Any]:
     """Return the part of an observer's table that :func:`read_source` reads."""
+    rates = {"fitted_hz": dict(source.fitted_hz)} if source.fitted_hz else {}
     if source.transform is None:
-        return {
+        return rates | {
             "inputs": {channel.name: channel_table(channel) for channel in source.inputs},
             "outputs": {channel.name: channel_table(channel) for channel in source.outputs},
         }
     rule = source.transform
-    return {
+    return rates | {
         "transform": {"kind": rule.kind, "rate_hz": rule.rate_hz, **rule.parameters},
         "signals": {channel.name: channel_table(channel) for channel in source.signals},
     }

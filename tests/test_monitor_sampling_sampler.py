@@ -350,6 +350,28 @@ def test_raw_signals_of_a_transform_bear_longer_lines(lost: int, bridged: int) -
     assert sum(not sample.measured for sample in samples) == bridged
 
 
+@pytest.mark.parametrize(
+    ("channel", "rate", "step_us", "lost"),
+    [
+        (COMMAND, 100.0, 100_000, True),
+        (COMMAND, 100.0, 25_000, False),
+        (COMMAND, 10.0, 100_000, False),
+        (MEAN, 1.0, 1_000_000, True),
+        (MEAN, 1.0, 100_000, False),
+    ],
+)
+def test_what_comes_far_more_seldom_than_in_the_fitted_flights_is_not_measured(
+    channel: Channel, rate: float, step_us: int, lost: bool
+) -> None:
+    messages = telemetry(0, 20_000_000, step_b=step_us)
+    for fitted_hz, expected in (({"B": 100.0}, lost), ({}, False)):
+        one = Sampler([channel], [SPEED], rate, VehicleClock(), fitted_hz=fitted_hz)
+        samples = feed(one, messages)
+        assert len(samples) > 15
+        assert {sample.measured for sample in samples} == {not expected}
+        assert one.seldom == ("B",) * expected
+
+
 def test_a_slow_output_that_loses_measurements_does_not_make_the_fast_ones_coast() -> None:
     messages = telemetry(0, 6_000_000, step_b=200_000)
     cut = [m for m in messages if not (m.name == "B" and 3_000_000 < m.fields["time_usec"] < 3_900_000)]

@@ -105,7 +105,7 @@ def test_an_observer_names_messages_between_which_it_takes_many_samples(quad_pro
 def test_a_command_that_holds_until_the_next_one_may_come_seldom(quad_profile: Profile) -> None:
     source = quad_profile.observers[0].source
     held = tuple(replace(channel, interpolation="previous") for channel in source.inputs)
-    found = spanned(replace(source, inputs=held), 100.0, dict.fromkeys(FAST, 4.0))
+    found = spanned(replace(source, inputs=held, fitted_hz={}), 100.0, dict.fromkeys(FAST, 4.0))
     assert set(found) == {channel.message for channel in source.outputs}
 
 
@@ -113,6 +113,9 @@ def test_a_replay_of_a_log_far_slower_than_the_profile_says_so(
     slow_log: Path, quad_folder: Path, data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert fauio.main(["replay", str(quad_folder), str(slow_log)]) == 0
-    assert "; motors sees faults late, not at all, or where none are: ATTITUDE 10 Hz, " in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "; motors watches nothing: ATTITUDE 10 Hz, fitted at 100 Hz, " in said
+    assert "is not watched: motors: " in said
+    assert "delivers" not in said
     assert fauio.main(["replay", str(quad_folder), str(data / "copter_wind_step.tlog.xz")]) == 0
-    assert "where none are" not in capsys.readouterr().out
+    assert "watches nothing" not in capsys.readouterr().out

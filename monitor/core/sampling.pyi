@@ -1,4 +1,4 @@
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,9 +49,12 @@ class SamplerCore:
         rate_hz: float,
         clock: VehicleClock,
         max_gap_s: float = ...,
+        fitted_hz: Mapping[str, float] = ...,
     ) -> None: ...
     @property
     def interests(self) -> frozenset[str]: ...
+    @property
+    def seldom(self) -> tuple[str, ...]: ...
     @property
     def clock(self) -> VehicleClock: ...
     @property

@@ -26,7 +26,9 @@ their order count:
    sample is marked ``complete=False``. If three or more are missing, the channel is ``lost``: its straight line is
    no measurement. One slower than every second tick is lost at a gap only, a mean after a whole tick; the raw signals
    of a transform, of which integrals are taken, not before ``RAW_LINE_S``. A sample of an observer in which a
-   channel is lost is marked ``measured=False``: the observer coasts on its model.
+   channel is lost is marked ``measured=False``: the observer coasts on its model. One that comes three times as seldom
+   as in the fitted flights, and as the grid, is lost always: what it did between was never fitted. So is a mean of
+   which there is not more than one measurement a tick, where there were more.
    Where nothing came for longer than 10 periods and than ``max_gap_s`` it is a gap: its ticks are skipped and the
    first sample after it is marked ``restart=True``. That holds for each channel of an observer, and for raw signals
    where all of them lack.
@@ -45,6 +47,7 @@ that message. Nothing looks ahead, so it makes no difference how telemetry is cu
 """
 
 from fractions import Fraction
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -542,6 +545,7 @@ cdef class Lane:
     silence
         How long a lane that stopped is waited for.
 
+    ``seldom`` is the period beyond which they are lost always, 0: never.
     ``hold`` is how far ahead of a tick the newest measurement has to be where one may be missing around it.
     """
 
@@ -549,7 +553,7 @@ cdef class Lane:
     cdef int width
     # Whether any of them is a mean over the time until the next tick; whether their message has no clock field.
     cdef bint averages, undated
-    cdef nanoseconds max_gap, tick, line_periods
+    cdef nanoseconds max_gap, tick, seldom, line_periods
     cdef bint raw
     # Measurements start <= i < start + count of buffers with room for `room`.
     cdef nanoseconds* _stamps
@@ -599,6 +603,8 @@ cdef class Lane:
             self.line = max(self.line, _RAW_LINE)
         elif 2 * period >= 5 * self.tick:
             self.line = self.gap
+        if self.seldom and period > self.seldom:
+            self.line = -1
         self.silence = max(_SILENCE, (_SILENT_PERIODS if self.raw else _GAP_PERIODS) * period)
 
     cdef void arrive_late(self, nanoseconds by, nanoseconds now) noexcept:
@@ -771,7 +777,7 @@ cdef class Lane:
         for i in range(self.width):
             width += (values[self.columns[i].source] != values[self.columns[i].source]) == missing
         part = Lane.__new__(Lane, width, self.max_gap, self.tick, self.raw)
-        part.averages, part.undated = self.averages, self.undated
+        part.averages, part.undated, part.seldom = self.averages, self.undated, self.seldom
         if self.count:
             part.grow(self.count + 1)
         width = 0
@@ -824,8 +830,8 @@ cdef class Stream:
     # When a stamp of it was believed last, Unix time.
     cdef nanoseconds agreed
 
-    def __init__(self, group, nanoseconds max_gap, nanoseconds tick, bint raw):
-        """Begin with ``group``, pairs of place in [u; y] and channel."""
+    def __init__(self, group, nanoseconds max_gap, nanoseconds tick, bint raw, nanoseconds fitted):
+        """Begin with ``group``, pairs of place in [u; y] and channel; ``fitted`` is their period in fitted flights."""
         cdef Lane lane = Lane.__new__(Lane, len(group), max_gap, tick, raw)
         cdef Column* column
         cdef int i
@@ -841,6 +847,11 @@ cdef class Stream:
                 lane.averages = True
             elif channel.interpolation == "previous":
                 column.kind = _PREVIOUS
+        if fitted and lane.averages:
+            # between one and two measurements a tick
+            lane.seldom = max(LINE_PERIODS * fitted, 3 * tick // 4)
+        elif fitted:
+            lane.seldom = LINE_PERIODS * max(fitted, tick)
         self.lanes = [lane]
         self.senders = Interleaved([channel.period or 0.0 for channel in self.channels])
         self.before = Repeats() if len(group) >= SENSES else None
@@ -917,6 +928,8 @@ cdef class SamplerCore:
         The vehicle's clock; several samplers may share it.
     max_gap_s : float
         Longest time without measurements that is no gap, seconds (at least 10 periods of the channel in any case).
+    fitted_hz : Mapping[str, float]
+        How often messages came in the fitted flights, by name, as far as it matters.
 
     Attributes
     ----------
@@ -961,7 +974,8 @@ cdef class SamplerCore:
     cdef nanoseconds _position
     cdef object _none
 
-    def __init__(self, inputs, outputs, rate_hz, VehicleClock clock not None, max_gap_s=MAX_GAP_S):
+    def __init__(self, inputs, outputs, rate_hz, VehicleClock clock not None, max_gap_s=MAX_GAP_S,
+                 fitted_hz=MappingProxyType({})):
         cdef int widest
         channels = (*inputs, *outputs)
         if not channels or not 0 < rate_hz <= 1_000_000_000:
@@ -977,7 +991,8 @@ cdef class SamplerCore:
             groups.setdefault(key, []).append((place, channel))
         self._streams, self._lanes = {}, []
         for (name, *_), group in groups.items():
-            stream = Stream(group, round(max_gap_s * 1e9), round(1e9 / rate_hz), self._raw)
+            fitted = round(1e9 / fitted_hz[name]) if name in fitted_hz else 0
+            stream = Stream(group, round(max_gap_s * 1e9), round(1e9 / rate_hz), self._raw, fitted)
             self._streams.setdefault(name, []).append(stream)
         for streams in self._streams.values():
             for stream in streams:
@@ -995,6 +1010,15 @@ cdef class SamplerCore:
         PyMem_Free(self._ticks)
         PyMem_Free(self._vectors)
         PyMem_Free(self._lost)
+
+    @property
+    def seldom(self):
+        """Return the names of the messages that come too seldom for what was fitted."""
+        return tuple(
+            name
+            for name, streams in self._streams.items()
+            if any([(<Lane>lane).line < 0 for stream in streams for lane in (<Stream>stream).lanes])
+        )
 
     def restart(self):
         """Mark the next sample as the first after a break."""

@@ -46,6 +46,11 @@ cdef double _UNSEEN_GROWTH = (0.2 / 0.05) ** 2
 # the one that says less counts, so a better one is not taken for worse than the other.
 cdef double _HEIGHT_NOISE = 0.1
 cdef double _HEIGHT_LASTS_S = 0.1
+# Times as long as from one magnetic field to the next that it may stay, where they come more seldom than in the fitted
+# flights: two in a row may be lost. A log holds 2 fields a second, the link that was fitted 100.
+cdef int _HELD_STEPS = 3
+# Ticks, of which a product with that fits a number.
+cdef int _LONGEST_STEP = 1 << 28
 # Standard deviation from which a vertical velocity is known again, m/s: the filter's own without a gap is 0.05.
 cdef double _SPEED_KNOWN = 0.075
 # Standard deviations that no height is off by which is alone. Within which two heights drift apart, s. Chosen: longer
@@ -276,11 +281,12 @@ cdef class StrapdownCore:
     # The rotation from the navigation's attitude to the autopilot's, north, east, down.
     cdef double[9] _apart
     cdef int _resets
-    # The newest fix and magnetic field, for how many ticks each has been the same, and the speed.
+    # The newest fix and magnetic field, for how many ticks each has been the same, those between the last two fields,
+    # and the speed.
     cdef double[5] _fix
     cdef double[3] _field
     cdef double[2] _reckoned
-    cdef int _fix_age, _field_age
+    cdef int _fix_age, _field_age, _field_step
     # Where a receiver was stuck, how the vehicle moved since by accelerations, ticks until that is compared with where
     # it goes on, and whether all has to begin anew there.
     cdef double[2] _stuck
@@ -362,7 +368,8 @@ cdef class StrapdownCore:
         self._heading = self._set_back = self._seen = 0.0
         memset(self._apart, 0, sizeof(self._apart))
         self._apart[0] = self._apart[4] = self._apart[8] = 1.0
-        self._resets = self._summed = self._stills = self._fix_age = self._field_age = self._loose = 0
+        self._resets = self._summed = self._stills = self._loose = 0
+        self._fix_age = self._field_age = self._field_step = 0
         self._still = self._blind = self._unstuck = False
         memset(self._doubt, 0, sizeof(self._doubt))
         memset(self._lacked, 0, sizeof(self._lacked))
@@ -744,10 +751,15 @@ cdef class StrapdownCore:
     cdef void follow_field(self, const double* level, const double* field, bint steep) noexcept:
         """Follow the heading of the magnetometer, until its next measurement by the body's rates."""
         cdef bint same = memcmp(field, self._field, sizeof(self._field)) == 0
+        cdef int hold = self._compass_hold
         self._heading = self._heading + level[4] * self._dt
-        self._field_age = min(self._field_age + 1, self._compass_hold) if same else 0
+        if not same:
+            self._field_step = self._field_age + 1
+        elif self._field_step > max(hold, 1):
+            hold = _HELD_STEPS * self._field_step
+        self._field_age = min(self._field_age + 1, _LONGEST_STEP) if same else 0
         memcpy(self._field, field, sizeof(self._field))
-        if not steep and (not same or self._field_age >= self._compass_hold):
+        if not steep and (not same or self._field_age >= hold):
             self._heading = self._heading + wrapped(_magnetic_heading(level, field) - self._heading)
 
     cdef void reckon(self, bint imu, bint gps, bint baro, bint mag, double* y, double* meant) noexcept:

@@ -297,6 +297,12 @@ def _has_no_ids(message: Message) -> bool:
     return source.is_telemetry and not source.has_ids and not source.is_onboard_log
 
 
+def fitted_rates(surveys: Sequence[Survey], channels: Sequence[Channel]) -> dict[str, float]:
+    """Return how often the messages of channels came in the recording that has fewest of each."""
+    names = sorted({channel.message for channel in channels})
+    return {name: float(f"{min(found.rate_hz[name] for found in surveys):.3g}") for name in names}
+
+
 def common_rate_hz(surveys: Sequence[Survey], channels: Sequence[Channel]) -> float:
     """Return the rate of the grid: the slowest channel's in the slowest log, rounded to a whole number of hertz."""
     slowest = min(found.rate_hz[channel.message] for found in surveys for channel in channels)

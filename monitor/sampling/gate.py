@@ -124,9 +124,9 @@ class GatedSampler:
     ) -> None:
         self._transform, self._size = None, 1
         if source.transform is None:
-            self.sampler = Sampler(source.inputs, source.outputs, rate_hz, clock)
+            self.sampler = Sampler(source.inputs, source.outputs, rate_hz, clock, fitted_hz=source.fitted_hz)
         else:
-            self.sampler = Sampler(source.signals, (), source.transform.rate_hz, clock)
+            self.sampler = Sampler(source.signals, (), source.transform.rate_hz, clock, fitted_hz=source.fitted_hz)
             self._transform = make_transform(source.transform, rate_hz)
             self._size = round(source.transform.rate_hz / rate_hz)
         self._kept: list[Samples] = []

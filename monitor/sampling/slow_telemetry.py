@@ -73,12 +73,21 @@ def spanned(source: SampleSource, rate_hz: float, rates: Mapping[str, float]) ->
     """Return the messages between which an observer takes three samples or more, and how many.
 
     Those whose values hold until the next one are left out: they may come only when they change. So are those without a
-    rate, messages per second by name as they came.
+    rate, messages per second by name as they came. Of those that come a third as often as in the fitted flights it is
+    as many times as seldom.
     """
     names = {channel.message for channel in source.channels if channel.interpolation == "linear"}
     if source.transform is not None:
         names -= _seldom(source.channels)
-    return {name: rate_hz / rates[name] for name in sorted(names) if 0.0 < rates.get(name, 0.0) < rate_hz / _SPANNED}
+    grid_hz = rate_hz if source.transform is None else source.transform.rate_hz
+    wanted = dict.fromkeys(names, rate_hz) | {name: min(hz, grid_hz) for name, hz in source.fitted_hz.items()}
+    return {name: hz / rates[name] for name, hz in sorted(wanted.items()) if 0.0 < rates.get(name, 0.0) < hz / _SPANNED}
+
+
+def unfitted(source: SampleSource, rate_hz: float, rates: Mapping[str, float]) -> str | None:
+    """Return which messages come too seldom for an observer to watch anything, as it was fitted; None where none do."""
+    slow = [name for name in spanned(source, rate_hz, rates) if name in source.fitted_hz]
+    return ", ".join(f"{name} {rates[name]:.2g} Hz, fitted at {source.fitted_hz[name]:.3g} Hz" for name in slow) or None
 
 
 def seldom_text(observer: str, source: SampleSource, rate_hz: float, rates: Mapping[str, float]) -> str | None:
@@ -86,5 +95,7 @@ def seldom_text(observer: str, source: SampleSource, rate_hz: float, rates: Mapp
     slow = spanned(source, rate_hz, rates)
     if not slow:
         return None
+    if found := unfitted(source, rate_hz, rates):
+        return f"{observer} watches nothing: {found}; fit it to recordings like this one"
     seldom = ", ".join(f"{name} {rates[name]:.2g} Hz" for name in slow)
     return f"{observer} sees faults late, not at all, or where none are: {seldom} for {rate_hz:g} samples a second"

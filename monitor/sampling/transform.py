@@ -56,6 +56,8 @@ class SampleSource:
     outputs: tuple[Channel, ...] = ()
     transform: TransformRule | None = None  # none takes the channels as they are
     signals: tuple[Channel, ...] = ()  # channels of the transform's raw signals, in its order
+    # messages per second in the fitted flights, of those that are no measurements where they come far more seldom
+    fitted_hz: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def channels(self) -> tuple[Channel, ...]:

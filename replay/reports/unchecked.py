@@ -9,7 +9,7 @@ from typing import NamedTuple
 from adapters.logs.damage import Damage
 from monitor.estimation.isolation_rule import BankRule
 from monitor.profile import ObserverProfile, Profile
-from monitor.sampling.slow_telemetry import spanned
+from monitor.sampling.slow_telemetry import spanned, unfitted
 from replay.player import Replay, Watch
 from replay.reports.findings import Finding
 from replay.reports.recording_facts import RecordingFacts
@@ -38,7 +38,7 @@ def unchecked(
         *(Unchecked(f"{seconds:.0f} s in flight", why) for why, seconds in replay.unwatched(facts.last_ns or 0)),
         *(Unchecked(f"{name}: {seconds:.0f} s", far) for name, (seconds, far) in replay.outside.items()),
         *(Unchecked(f"what is missing of {part.file}", "; ".join(part.found)) for part in damage),
-        *(gap for observer in profile.observers for gap in _observer(profile, observer, replay)),
+        *(gap for observer in profile.observers for gap in _observer(profile, observer, replay, facts)),
         *(gap for observer in profile.observers for gap in _bridged(observer, replay.watches[observer.name])),
         *(gap for observer in profile.observers for gap in _interpolated(observer, facts)),
         *_gaps(facts),
@@ -53,7 +53,9 @@ def unchecked(
     ]
 
 
-def _observer(profile: Profile, observer: ObserverProfile, replay: Replay) -> Iterator[Unchecked]:
+def _observer(
+    profile: Profile, observer: ObserverProfile, replay: Replay, facts: RecordingFacts
+) -> Iterator[Unchecked]:
     """Say where an observer watched nothing, or not all of the time."""
     watch, channels = replay.watches[observer.name], _and([rule.channel for rule in observer.alarms])
     if lacks := replay.lacking.get(observer.name):
@@ -66,6 +68,8 @@ def _observer(profile: Profile, observer: ObserverProfile, replay: Replay) -> It
         if statistics.untimed:
             reasons.append(f"{statistics.untimed} have no usable time stamp")
         yield Unchecked(f"{observer.name} ({channels})", f"no sample could be made of them: {'; '.join(reasons)}")
+    elif found := unfitted(observer.source, observer.rate_hz, facts.rates):
+        yield Unchecked(f"{observer.name} ({channels})", f"messages come too seldom for what was fitted: {found}")
     elif not watch.evidence:
         yield Unchecked(
             f"{observer.name} ({channels})", f"the vehicle was never seen {_phase(profile)} for long enough"
@@ -108,7 +112,7 @@ def _interpolated(observer: ObserverProfile, facts: RecordingFacts) -> Iterator[
     """Say which messages come much more seldom than the observer samples."""
     rates = facts.rates
     spans = spanned(observer.source, observer.rate_hz, rates)
-    if spans:
+    if spans and not unfitted(observer.source, observer.rate_hz, rates):
         seldom = _and([f"{name} {rates[name]:.3g} times a second" for name in spans])
         most = max(spans.values())
         yield Unchecked(

@@ -235,9 +235,8 @@ def _verdict(found: Replay, profile: Profile, facts: RecordingFacts) -> str:
     other = f"; {found.mismatch}" if found.mismatch is not None else ""
     raised = len(first_raised(found.events))
     alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
-    sparse = (
-        seldom_text(observer.name, observer.source, observer.rate_hz, facts.rates) for observer in profile.observers
-    )
+    there = (observer for observer in profile.observers if observer.name not in found.lacking)
+    sparse = (seldom_text(observer.name, observer.source, observer.rate_hz, facts.rates) for observer in there)
     late = "".join(f"; {line}" for line in sparse if line)
     unwatched_s = sum(seconds for _, seconds in found.unwatched(facts.last_ns or 0))
     part = f"; not all was watched for {unwatched_s:.0f} s of flight" if unwatched_s else ""

@@ -28,6 +28,7 @@ from monitor.alarms.excuse import ExcuseRule
 from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.survey import fitted_rates
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated, Times, healthy_evidence
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule
@@ -160,7 +161,8 @@ def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
     channels = (*commands, *signals.speed, *signals.current, *signals.voltage)
     raw = [flight_samples(log(), SampleSource(inputs=channels), signal_hz, gate) for log in request.logs]
     found = _identified(raw, commands, signal_hz, rate_hz)
-    fitted = _designed(request.name, gate, raw, channels, found, signals, signal_hz, rate_hz)
+    source = SampleSource(signals=channels, fitted_hz=fitted_rates(request.surveys, commands))
+    fitted = _designed(request.name, gate, raw, source, found, signals, signal_hz, rate_hz)
     worst = {kind: max(_thresholds(fitted, kind), default=0.0) for kind in ("esc", "motor")}
     if worst["esc"] >= 1.0:
         raise ModelError(
@@ -169,7 +171,7 @@ def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
         )
     if worst["motor"] >= _CRITICAL_CURRENT:
         left = 100.0 * float(found.curves.left[len(commands) :].mean())
-        fitted = _designed(request.name, gate, raw, channels, found.speeds_only(), signals, signal_hz, rate_hz)
+        fitted = _designed(request.name, gate, raw, source, found.speeds_only(), signals, signal_hz, rate_hz)
         unsteady = f"currents are not watched: they follow speeds within {left:.0f} % only"
         fitted = replace(fitted, lines=(*fitted.lines, unsteady))
     return fitted
@@ -183,20 +185,20 @@ def _designed(
     name: str,
     gate: GateRule,
     raw: Sequence[Flight],
-    channels: Sequence[Channel],
+    source: SampleSource,
     found: _Identified,
     signals: EscSignals,
     signal_hz: float,
     rate_hz: float,
 ) -> Fitted:
-    """Return the designed observer with its alarms; ``channels`` are those of the raw flights."""
+    """Return the designed observer with its alarms; ``source`` has those of the raw flights."""
     s = len(found.numbers)
     kept = [*range(2 * s), *(range(2 * s, 3 * s) if len(found.names) > s else ())]
     kept += range(3 * s, 4 * s) if found.volts else ()
     rule = TransformRule(OBSERVER, signal_hz, found.parameters())
     flights = [transformed(_chosen(flight, kept), EscInputs(rule.parameters, signal_hz, rate_hz)) for flight in raw]
     plant = esc_plant(found, name, rate_hz)
-    source = SampleSource(transform=rule, signals=tuple(channels[at] for at in kept))
+    source = replace(source, transform=rule, signals=tuple(source.signals[at] for at in kept))
     bare = bare_observer(OBSERVER, plant, design_blocks(plant), source, flights)
     alarms = _alarms(bare, healthy_evidence(bare.profile(), gate, flights), _times(rate_hz))
     return replace(

@@ -37,7 +37,7 @@ from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_al
 from monitor.fitting.flights import Flight, flight_samples
 from monitor.fitting.lasting import Scatter, scatter
 from monitor.fitting.spread import fit_spread
-from monitor.fitting.survey import MOTOR_MESSAGE, Survey, common_rate_hz
+from monitor.fitting.survey import MOTOR_MESSAGE, Survey, common_rate_hz, fitted_rates
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
     Calibrated,
@@ -258,7 +258,8 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     )
     gains = compile_bank(plant, design_bank(plant, model.rate_hz, together=pairs_of(motors, model.B, slow=slow)))
     rule = bank_rule(gains, segments, edges=GYROS, level_s=LEVEL_SHARE * identified.times.slow_s)
-    bare = Fitted(drive.observer, plant, gains, identified.source, rule, supply=drive.supply)
+    source = replace(identified.source, fitted_hz=fitted_rates(surveys, identified.source.channels))
+    bare = Fitted(drive.observer, plant, gains, source, rule, supply=drive.supply)
     channels = bare.profile().faults
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
     bare = replace(bare, excitation=_excitation(bare.profile(), gate, identified, hover))
