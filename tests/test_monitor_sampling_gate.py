@@ -84,6 +84,18 @@ def test_the_mean_command_tells_where_the_landed_state_is_not_reported() -> None
     assert admitted(rule, samples, (phase(), 8)) == [False] * 2 + [True] * 6
 
 
+def test_raw_signals_of_sensors_are_no_commands() -> None:
+    source = SampleSource((Channel("zmag", "A", ("zmag",)),))
+    messages = [
+        Message(MAVLINK, "A", 1_000 * t, {"time_usec": t, "zmag": -0.5}, 1, 1) for t in range(0, 500_000, 10_000)
+    ]
+    rule = GateRule(settle_s=0.0, airborne_command=0.3)
+    for commands in (True, False):
+        sampler = GatedSampler(source, 100.0, VehicleClock(), rule, commands=commands)
+        found = sampler.sample(pack(messages), phase(landed=None)).armed
+        assert len(found) and found.all() != commands
+
+
 def test_a_command_of_zero_asks_for_none() -> None:
     # raw signals, with a field of -0.5 gauss among them, are no commands
     assert admitted(GateRule(settle_s=0.0), commanded(-0.5), (phase(landed=None), 1)) == [True]

@@ -130,7 +130,7 @@ def fit_effects(
     """
     rate_hz = request.fraction_hz(signals.rate_hz, min(signals.rate_hz, _OBSERVER_HZ))
     source = SampleSource(inputs=signals.channels)
-    raw = [flight_samples(log(), source, signals.rate_hz, replace(gate, airborne_command=0.0)) for log in request.logs]
+    raw = [flight_samples(log(), source, signals.rate_hz, gate, commands=False) for log in request.logs]
     reference = _reference_speed(kind, raw)
     speeds = {"reference_speed": reference, "minimum_speed": kind.slowest * reference}
     bare = TransformRule(kind.observer, signals.rate_hz, speeds)

@@ -108,10 +108,16 @@ def _arrived(columns: Columns, start_ns: int, end_ns: int) -> Columns:
 
 
 def flight_samples(
-    batches: Iterable[Batch], source: SampleSource, rate_hz: float, gate: GateRule, supply: SupplyRule | None = None
+    batches: Iterable[Batch],
+    source: SampleSource,
+    rate_hz: float,
+    gate: GateRule,
+    supply: SupplyRule | None = None,
+    *,
+    commands: bool = True,
 ) -> Flight:
-    """Return the samples of a recording, ``rate_hz`` of them per second."""
-    sampler = GatedSampler(source, rate_hz, VehicleClock(), gate, supply)
+    """Return the samples of a recording, ``rate_hz`` of them per second; raw signals of sensors are no ``commands``."""
+    sampler = GatedSampler(source, rate_hz, VehicleClock(), gate, supply, commands=commands)
     flights: list[Flight] = []
     for part, phase in _by_phase(batches):
         flights.append(Flight(*sampler.sample(part, phase)))

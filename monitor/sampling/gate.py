@@ -121,6 +121,8 @@ class GatedSampler:
         clock: VehicleClock,
         rule: GateRule,
         supply: SupplyRule | None = None,
+        *,
+        commands: bool = True,
     ) -> None:
         self._transform, self._size = None, 1
         if source.transform is None:
@@ -130,7 +132,7 @@ class GatedSampler:
             self._transform = make_transform(source.transform, rate_hz)
             self._size = round(source.transform.rate_hz / rate_hz)
         self._kept: list[Samples] = []
-        self.gate = FlightGate(rule, source.transform is None)
+        self.gate = FlightGate(rule, commands and source.transform is None)
         self._rule = rule
         self._allowed = False
         self._supply = None if supply is None else Supply(supply)

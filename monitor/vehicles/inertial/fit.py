@@ -388,8 +388,9 @@ def _sampled(request: FitRequest, source: StrapdownSource, gate: GateRule) -> tu
     if LEARNED in source.parameters:
         # which messages came at the same time
         signal_hz *= max(1, round(_RATE_HZ / signal_hz))
-    raw, gate = SampleSource(inputs=source.channels), replace(gate, airborne_command=0.0)
-    return [flight_samples(log(), raw, signal_hz, gate) for log in request.logs], signal_hz, rate_hz
+    raw = SampleSource(inputs=source.channels)
+    flights = [flight_samples(log(), raw, signal_hz, gate, commands=False) for log in request.logs]
+    return flights, signal_hz, rate_hz
 
 
 def _told(raw: Sequence[Flight], signal_hz: float) -> bool:
