@@ -55,8 +55,9 @@ def test_messages_as_fast_as_the_observer_samples_give_nothing_to_say(telemetry:
 
 def test_a_message_that_comes_too_seldom_is_named_with_its_rate(telemetry: Telemetry) -> None:
     rate = round(telemetry.observer.rate_hz)
+    often = telemetry.observer.source.fitted_hz["ATTITUDE"]
     [said] = telemetry.run(12, dict.fromkeys(telemetry.names, rate) | {"ATTITUDE": 4})
-    assert said == f"motors sees faults late, not at all, or where none are: ATTITUDE 4 Hz for {rate} samples a second"
+    assert said == f"motors watches nothing: ATTITUDE 4 Hz, fitted at {often:g} Hz; fit it to recordings like this one"
     assert telemetry.run(20, dict.fromkeys(telemetry.names, rate)) == []
 
 
