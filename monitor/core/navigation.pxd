@@ -79,7 +79,7 @@ cdef class Navigation:
     cdef readonly double score
     # Whether the magnetic field jumped and has not come back.
     cdef bint strayed
-    # Whether a ramp of the GPS's velocity or the trace of a gyro's fault is over: what was washed out meanwhile is void.
+    # Whether a ramp of the GPS's velocity or the trace of a gyro's fault is over: what was washed out then is void.
     cdef bint returned
 
     cdef void restart(self) noexcept
