@@ -100,6 +100,15 @@ def test_a_fault_is_not_taken_for_weather(loss: float, seed: int) -> None:
     assert seen[-1] < END + 75
 
 
+@pytest.mark.parametrize("column", ["fault", "beyond"])
+def test_one_absurd_value_hides_no_fault(column: str) -> None:
+    columns = {"fault": np.zeros(1500), "beyond": np.ones(1500)}
+    columns["fault"][ONSET:END] = -0.5 * TURNS[ONSET:END]
+    columns[column][ONSET - 25] = 9e5
+    seen = accused(read(columns["fault"], TURNS, rule=WEATHER, beyond=columns["beyond"]))
+    assert ONSET <= seen[seen >= ONSET][0] < ONSET + 125  # 2.5 s, from half a second after it on
+
+
 def test_errors_of_the_model_grow_beyond_the_flights_that_were_fitted() -> None:
     stalled = np.where(np.arange(1500) >= ONSET, 0.3 * TURNS, 0.0)  # 30 % less than commanded
     assert len(accused(read(stalled, TURNS)))

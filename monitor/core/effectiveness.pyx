@@ -21,6 +21,12 @@ cdef double SMALLEST_INFORMATION = 1e-30
 # Time constant over which the run's own misfit is known, seconds: weather lasts for minutes, and half a second of a
 # fault that its sizes do not explain yet adds a fortieth of it.
 cdef double MISFIT_S = 20.0
+# Largest square with which a row counts in the misfit, as a multiple of that: one absurd value must not hide a fault
+# for minutes, and makes it 1.4 times as large so. Chosen: twenty deviations; a storm of five is known within a second.
+cdef double MISFIT_CLIP = 400.0
+# Most that errors of the model are taken to be, times those of the fitted flights; after one absurd value they fade
+# within 2 s. Chosen: those of a tumble at thirty times their rates; one of ten was seen.
+cdef double MOST_BEYOND = 1000.0
 # Time constant with which model errors outlast the motion that made them, seconds: rates that decay take about as long.
 cdef double BEYOND_S = 0.3
 # Effects are near 1; values a million times larger come from a broken sender, and their squares would drown the rest.
@@ -122,10 +128,11 @@ cdef class Follower:
         """
         cdef Memory longest = <Memory> self.memories[len(self.memories) - 1]
         cdef double rest
-        self.beyond = max(beyond, 1.0 + self.beyond_keep * (self.beyond - 1.0))
+        self.beyond = max(min(beyond, MOST_BEYOND), 1.0 + self.beyond_keep * (self.beyond - 1.0))
         if self.usual_misfit > 0.0:
             rest = longest.rest(fault, self.u, self.m) / (self.noise * self.beyond)
-            self.misfit = self.misfit_keep * self.misfit + (1.0 - self.misfit_keep) * rest * rest
+            rest = min(rest * rest, MISFIT_CLIP * max(self.misfit, self.usual_misfit))
+            self.misfit = self.misfit_keep * self.misfit + (1.0 - self.misfit_keep) * rest
             return Doubt(self.beyond, max(1.0, self.misfit / self.usual_misfit))
         return Doubt(self.beyond, 1.0)
 

@@ -49,6 +49,9 @@ _RECENT_NS = 3_000_000_000
 _HIGH_MM = 2000
 """Height above home from which on a landing vehicle is still watched, millimetres. Chosen: rotors feel the ground up to
 two of their diameters, and a height is that much off after a long flight."""
+_AWAY_NS = 1_000_000_000
+"""How long another height than its home's counts. Chosen: they come once a second at least, and a plane that touches
+down rolls for longer."""
 _MOST_REPORTS = 64
 """Reports that are remembered. Chosen: at 6 Hz more than the window, and a flood of them costs no more."""
 
@@ -186,7 +189,7 @@ class FlightPhase:
             if abs(above_mm) > _HIGH_MM:
                 self._away_ns = now_ns
             # Forged among true ones, a height of its home must not end the watch.
-            was_away = self._away_ns is not None and 0 <= now_ns - self._away_ns < _RECENT_NS
+            was_away = self._away_ns is not None and 0 <= now_ns - self._away_ns < _AWAY_NS
             self._low_ns = now_ns if abs(above_mm) <= _HIGH_MM and not was_away else None
             return
         is_heartbeat = is_autopilot_heartbeat(message)
