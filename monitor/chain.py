@@ -23,13 +23,14 @@ from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
 from monitor.core.alarms import EXPLAINED, RAISED, UPDATED, ChainRows, Weighing, nats_asked, walk
+from monitor.core.effectiveness import EffectivenessEstimator
 from monitor.core.observers import CommandScale, SinceMeasured, shares_in_command
 from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimates, Layout
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import EstimatorRun
 from monitor.estimation.changes import ChangeRun, ChangeStage
-from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule, EffectivenessRun
+from monitor.estimation.effectiveness import EffectivenessRule, EffectivenessRun
 from monitor.estimation.envelope import EnvelopeStage
 from monitor.estimation.estimator import make_estimator
 from monitor.estimation.excitation import ExcitationStage
@@ -116,13 +117,9 @@ class EffectivenessStage:
         rate_hz: float,
         reached: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
-        self._reached = [
-            (
-                [names.index(name) for name in names if name in reached],
-                [reached[name] for name in names if name in reached],
-            )
-            for names in (inputs, outputs)
-        ]
+        known = [[name for name in names if name in reached] for names in (inputs, outputs)]
+        self._columns = [inputs.index(name) for name in known[0]], [outputs.index(name) for name in known[1]]
+        self._reached = [[reached[name] for name in names] for names in known]
         self._channels = [
             (
                 index,
@@ -144,14 +141,16 @@ class EffectivenessStage:
         """
         beyond = self._beyond(samples) if self._channels else np.empty(0)
         return {
-            index: estimator.run(
-                samples.vehicle_time_ns,
-                samples.restart,
-                armed,
-                fault[:, index],
-                samples.u[:, command],
-                np.ones(len(samples)) if full is None else samples.u[:, full],
-                beyond,
+            index: EffectivenessRun(
+                *estimator.run(
+                    samples.vehicle_time_ns,
+                    samples.restart,
+                    armed,
+                    fault[:, index],
+                    samples.u[:, command],
+                    np.ones(len(samples)) if full is None else samples.u[:, full],
+                    beyond,
+                )
             )
             for index, command, full, estimator in self._channels
         }
@@ -164,7 +163,7 @@ class EffectivenessStage:
         """
         inputs, outputs = (
             np.nan_to_num(np.abs(values[:, columns]) / sizes).max(axis=1, initial=1.0)
-            for values, (columns, sizes) in zip((samples.u, samples.y), self._reached, strict=True)
+            for values, columns, sizes in zip((samples.u, samples.y), self._columns, self._reached, strict=True)
         )
         return np.asarray(np.fmax(inputs, outputs * outputs), dtype=np.float64)
 
@@ -341,18 +340,16 @@ class ObserverChain:
         An actuator's alarm is raised whoever sends: a forged command must not hide that it fails. What was learned of
         the forged values is no truth about the vehicle: once they end all begins anew.
         """
-        events, changed = [], False
+        events: list[AlarmEvent] = []
+        changed = False
         for alarm in self._alarms:
             channel = alarm.rule.channel
             if channel in self._actuators or not self._excuses.distrust(channel, alarm.state, is_forged):
                 continue
             changed = True
-            ended = alarm.withdraw(time_ns, vehicle_ns, "explained by a second sender") if is_forged else None
-            if ended is not None:
-                events.append(ended)
-                self._excuses.follow(ended)
-                listed = self._excuses.explained(alarm.rule.channel, time_ns, vehicle_ns, alarm.state)
-                events += [] if listed is None else [listed]
+            if is_forged:
+                ended = alarm.withdraw(time_ns, vehicle_ns, "explained by a second sender")
+                events += self._excuses.consequence(ended, alarm.state)
         if changed and not is_forged:
             self.sampler.restart()
         return events

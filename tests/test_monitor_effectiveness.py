@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule, EffectivenessRun
+from monitor.core.effectiveness import EffectivenessEstimator
+from monitor.estimation.effectiveness import EffectivenessRule, EffectivenessRun
 
 RATE_HZ = 50.0
 RULE = EffectivenessRule(noise=0.01, inflation=2.0, lag_s=0.0, loss_doubt=0.02, offset_doubt=0.002, certainty=5.0)
@@ -32,7 +33,7 @@ def read(
     always = np.ones(len(fault), np.bool_)
     flags = rows == restart, always if armed is None else armed
     columns = fault, command, full * always, beyond * always
-    return EffectivenessEstimator(rule, RATE_HZ).run(rows * round(1e9 / RATE_HZ), *flags, *columns)
+    return EffectivenessRun(*EffectivenessEstimator(rule, RATE_HZ).run(rows * round(1e9 / RATE_HZ), *flags, *columns))
 
 
 def faulty(

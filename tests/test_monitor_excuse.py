@@ -143,11 +143,11 @@ def test_the_end_of_a_fault_that_another_observer_followed_is_no_jump_the_other_
 
 
 @pytest.mark.parametrize(
-    ("sooner", "seconds", "states"),
+    ("precedes", "seconds", "states"),
     [(True, 4.0, ["cleared", "updated"]), (True, 12.0, []), (False, 4.0, [])],
 )
-def test_an_alarm_that_came_first_ends_as_a_consequence(sooner: bool, seconds: float, states: list[str]) -> None:
-    excuses = Excuses((ExcuseRule(("steering",), ("gyro_z",), 4.0, sooner=sooner),))
+def test_an_alarm_that_came_first_ends_as_a_consequence(precedes: bool, seconds: float, states: list[str]) -> None:
+    excuses = Excuses((ExcuseRule(("steering",), ("gyro_z",), 4.0, precedes=precedes),))
     steering, gyro = (
         Alarm(AlarmRule("drive", name, "sensor", "", 1.0, 0.5, 5.0, raise_s=0.1, clear_s=0.1), "v")
         for name in ("steering", "gyro_z")
@@ -181,7 +181,7 @@ def test_a_rule_says_nothing_of_channels_without_an_alarm() -> None:
 
 
 def test_rules_read_back_as_written(tmp_path: Path) -> None:
-    rules = RULE, ExcuseRule(("gyro_x",), ("gyro_y",), 2.0, same_cause=True), replace(RULE, sooner=True)
+    rules = RULE, ExcuseRule(("gyro_x",), ("gyro_y",), 2.0, same_cause=True), replace(RULE, precedes=True)
     file = TomlFile("profile.toml", {"excuses": excuse_tables(rules)}, ProfileError)
     assert read_excuses(file.root.tables("excuses"), KNOWN) == rules
     assert general_of(rules) == {"gyro_y": ("gyro_x",)}

@@ -7,7 +7,8 @@ from gains_samples import multirotor
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
-from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule
+from monitor.core.effectiveness import EffectivenessEstimator
+from monitor.estimation.effectiveness import EffectivenessRule, EffectivenessRun
 from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
 
 RATE_HZ = 50.0
@@ -26,7 +27,9 @@ def test_calibration_finds_noise_colour_and_the_models_own_error() -> None:
     assert rule.certainty >= 5.0
     estimator = EffectivenessEstimator(rule, RATE_HZ)
     flags = np.ones(6000, np.bool_)
-    evidence = estimator.run(np.arange(6000) * 20_000_000, ~flags, flags, *run, np.ones(6000)).evidence
+    evidence = EffectivenessRun(
+        *estimator.run(np.arange(6000) * 20_000_000, ~flags, flags, *run, np.ones(6000))
+    ).evidence
     assert not np.nan_to_num(evidence).any()
 
 

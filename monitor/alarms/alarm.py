@@ -137,8 +137,8 @@ LEAST: Mapping[str, float] = {"slow_s": 0.01}
 _LARGEST = 1e300
 """Twice as much is still a finite number, as the rule needs it."""
 LATELY_NS = 10_000_000_000
-"""An alarm that was raised no longer before another one may be its consequence: its findings are counted over as
-long."""
+"""An alarm that was raised no longer before another one may be its consequence. Chosen: what tells of a second sender
+is counted over as long."""
 _AFFECTED = "; affected: "
 _STATES: Mapping[int, State] = {RAISED: "raised", UPDATED: "updated", CLEARED: "cleared"}
 

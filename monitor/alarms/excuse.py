@@ -34,9 +34,8 @@ class ExcuseRule:
     # whether those alarms name the same cause more exactly: raised while one of the channels has an active alarm, they
     # say more of that one and are none of their own (:mod:`monitor.alarms.desk`)
     same_cause: bool = False
-    # whether the channels may show the fault sooner than those that are told it by: an alarm of theirs that was raised
-    # within the 10 s before ends then, as what it is
-    sooner: bool = False
+    # whether an alarm of the channels may be raised before the one that explains it: one of the last 10 s ends then
+    precedes: bool = False
 
     def among(self, alarms: Collection[str]) -> ExcuseRule:
         """Return what the rule says of these channels."""
@@ -115,15 +114,19 @@ class Excuses:
         """End the alarms that one which has just been raised explains; return the events. Follow that one before."""
         events: list[AlarmEvent] = []
         rules = self._rules.items() if event.state == "raised" else ()
-        for channel in (name for name, of in rules if any(event.channel in rule.by for rule in of if rule.sooner)):
+        for channel in (name for name, of in rules if any(event.channel in rule.by for rule in of if rule.precedes)):
             for withdraw in self._withdraw.get(channel, ()):
-                times_ns = event.time_ns, event.vehicle_time_ms * 1_000_000
-                ended = withdraw(*times_ns, f"explained by {event.channel}")
-                if ended is not None:
-                    self.follow(ended)
-                    listed = self.explained(channel, *times_ns)
-                    events += [ended] if listed is None else [ended, listed]
+                ended = withdraw(event.time_ns, event.vehicle_time_ms * 1_000_000, f"explained by {event.channel}")
+                events += self.consequence(ended)
         return events
+
+    def consequence(self, ended: AlarmEvent | None, alarm: AlarmState | None = None) -> list[AlarmEvent]:
+        """Follow the end of an alarm that another one explains; return it, and that other one's listing of it."""
+        if ended is None:
+            return []
+        self.follow(ended)
+        listed = self.explained(ended.channel, ended.time_ns, ended.vehicle_time_ms * 1_000_000, alarm)
+        return [ended] if listed is None else [ended, listed]
 
     def distrust(self, channel: str, alarm: AlarmState, is_forged: bool) -> bool:
         """Excuse an alarm because of forged values from now on, or no longer; return whether that is a change."""
@@ -214,7 +217,7 @@ def read_excuses(tables: Iterable[Table], known: Sequence[str]) -> tuple[ExcuseR
             table.texts("by"),
             table.number("for_s", 0.0, at_least=0.0),
             table.boolean("same_cause", False),
-            table.boolean("sooner", False),
+            table.boolean("precedes", False),
         )
         table.done()
         for key, names in (("channels", rule.channels), ("by", rule.by)):
@@ -231,6 +234,6 @@ def excuse_tables(rules: Sequence[ExcuseRule]) -> list[dict[str, Any]]:
     """Return the tables that :func:`read_excuses` reads back as the same rules."""
     return [
         {"channels": list(rule.channels), "by": list(rule.by), "for_s": rule.for_s}
-        | {name: True for name in ("same_cause", "sooner") if getattr(rule, name)}
+        | {name: True for name in ("same_cause", "precedes") if getattr(rule, name)}
         for rule in rules
     ]

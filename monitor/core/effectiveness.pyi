@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-class Follower:
+class EffectivenessEstimator:
     misfit: float
     def __init__(self, rule: EffectivenessRule, rate_hz: float) -> None: ...
     def run(

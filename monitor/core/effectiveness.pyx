@@ -42,7 +42,7 @@ cdef struct Verdict:
     bint is_loss
 
 
-cdef class Follower:
+cdef class EffectivenessEstimator:
     """State of one actuator's recursive least squares.
 
     Parameters
@@ -51,6 +51,11 @@ cdef class Follower:
         How its estimate is read.
     rate_hz : float
         Rows per second.
+
+    Attributes
+    ----------
+    misfit : float
+        Mean square over the last 20 s of what loss and offset leave of f^, over noise^2.
     """
 
     cdef list memories
@@ -74,7 +79,13 @@ cdef class Follower:
 
     def run(self, const long long[:] times_ns, const unsigned char[:] restart, const unsigned char[:] armed,
             const double[:] fault, const double[:] command, const double[:] full, const double[:] beyond):
-        """Process n rows; return the 8 columns of an ``EffectivenessRun`` (8, n)."""
+        """Process n rows; return the 8 columns of an ``EffectivenessRun`` (8, n).
+
+        All is forgotten at a restart, and where evidence (``armed``) was missing for longer than the longest memory.
+        ``fault``, ``command`` and ``full`` (n,) are f^ of the observer, not smoothed further, u in the same units, and
+        m, the effect of a constant full deflection; ``beyond`` how many times larger than in the fitted flights the
+        model's errors may be, 1 inside of them.
+        """
         cdef Py_ssize_t k, count = times_ns.shape[0]
         cdef bint afresh
         cdef Verdict verdict

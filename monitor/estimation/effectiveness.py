@@ -22,7 +22,7 @@ unexcited actuator has a large standard error: it is neither accused nor acquitt
 A short memory sees a large fault, and its end, at once; a long one a small fault. The shortest memory with a verdict
 decides. Where health explains the shortest memory better than its accusation does, the accusation is dropped and all
 before forgotten: the time in which an actuator was deflected would otherwise outweigh the time at rest. The rules
-themselves, row after row, are in :mod:`monitor.core.effectiveness`.
+themselves, row after row, are :class:`monitor.core.effectiveness.EffectivenessEstimator`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.toml_tables import Table
-from monitor.core.effectiveness import Follower
 
 _SMALLEST_NOISE = 1e-12
 """In units of the output: evidence is divided by it."""
@@ -98,7 +97,6 @@ def _read_rule(table: Table, inputs: Sequence[str]) -> EffectivenessRule:
 
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,35 +145,3 @@ class EffectivenessRun(NamedTuple):
     # evidence last known: while an accusation can neither be confirmed nor dropped it stays, without evidence it is
     # zero
     size: Array
-
-
-class EffectivenessEstimator:
-    """State of one actuator's recursive least squares."""
-
-    def __init__(self, rule: EffectivenessRule, rate_hz: float) -> None:
-        self._follower = Follower(rule, rate_hz)
-
-    @property
-    def misfit(self) -> float:
-        """Mean square over the last 20 s of what loss and offset leave of f^, over noise^2."""
-        return self._follower.misfit
-
-    def run(
-        self,
-        times_ns: NDArray[np.int64],
-        restart: Flags,
-        armed: Flags,
-        fault: Array,
-        command: Array,
-        full: Array,
-        beyond: Array,
-    ) -> EffectivenessRun:
-        """Process n samples.
-
-        All is forgotten at a restart, and where evidence (``armed``) was missing for longer than the longest memory.
-        ``fault``, ``command`` and ``full`` (n,) are f^ of the observer, not smoothed further, u in the same units, and
-        m, the effect of a constant full deflection; ``beyond`` how many times larger than in the fitted flights the
-        model's errors may be, 1 inside of them.
-        """
-        flags = restart, armed
-        return EffectivenessRun(*self._follower.run(times_ns, *flags, fault, command, full, beyond))

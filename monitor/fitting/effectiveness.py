@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from gains.identification.regression import coloured_inflation
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains
+from monitor.core.effectiveness import EffectivenessEstimator
 from monitor.estimation.affine import AffineObserver
-from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule, EffectivenessRun
+from monitor.estimation.effectiveness import EffectivenessRule, EffectivenessRun
 
 _SMALLEST_DOUBT = 0.02
 """Least standard deviation of a loss that model errors cause. Chosen: minutes of healthy flight do not prove an effect
@@ -80,7 +81,8 @@ def _misfit(runs: Sequence[HealthyRun], rate_hz: float, rule: EffectivenessRule)
 def _run(estimator: EffectivenessEstimator, run: HealthyRun, rate_hz: float) -> EffectivenessRun:
     count = len(run.fault)
     times_ns = np.round(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
-    return estimator.run(times_ns, np.zeros(count, np.bool_), np.ones(count, np.bool_), *run, np.ones(count))
+    flags = np.zeros(count, np.bool_), np.ones(count, np.bool_)
+    return EffectivenessRun(*estimator.run(times_ns, *flags, *run, np.ones(count)))
 
 
 def _noise(runs: Sequence[HealthyRun], rate_hz: float, timing_s: float) -> tuple[float, float]:

@@ -178,7 +178,7 @@ def fit_effects(
         lines=tuple(_lines(fit, rate_hz, reference, reading)),
         details=() if comparison is None else ("on data kept back:", *comparison_lines(comparison)),
         comparison=comparison,
-        excuses=(ExcuseRule(tuple(gains.faults), kind.sensors, _EXCUSED_S, sooner=True),),
+        excuses=(ExcuseRule(tuple(gains.faults), kind.sensors, _EXCUSED_S, precedes=True),),
         agreement=_agreement(plant, gains.faults, request.names, [flight.segments() for flight in flights]),
     )
     return fitted, gate

@@ -2,10 +2,11 @@
 
 Rules, in order: a vehicle known to be disarmed is not watched; where the vehicle reports its landed state, only
 "in the air" counts, and "landing" while it is still high; where it does not, a mean command of at least
-``airborne_command`` takes its place; if that is zero, a height that is not its home's. Of a multirotor's sensors none
-is as in the sample before for long, unless what sends them is frozen. Each time the rules come to hold, ``settle_s`` of
-vehicle time passes before evidence counts. When the reported flight phase comes to allow evidence, the samples restart:
-the estimates made on the ground, before the first fix of the GPS or while the vehicle was carried about, are forgotten.
+``airborne_command`` takes its place; if that is zero, a height that is not its home's. Samples in which all of a
+multirotor's sensors stand still do not count either: what sends them is frozen. Each time the rules come to hold,
+``settle_s`` of vehicle time passes before evidence counts. When the reported flight phase comes to allow evidence, the
+samples restart: the estimates made on the ground, before the first fix of the GPS or while the vehicle was carried
+about, are forgotten.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class GateRule:
     require_armed: bool = True  # which of the rules apply
     require_airborne: bool = True
     settle_s: float = 1.0  # wait after they come to hold, seconds
-    # mean command from which a vehicle that does not report its landed state is taken to be in the air; 0: at any
+    # mean command from which a vehicle that does not report its landed state is taken to fly; 0: not looked at
     airborne_command: float = 0.0
 
 
@@ -61,7 +62,7 @@ class FlightGate:
     """
 
     def __init__(self, rule: GateRule, commands: bool = True) -> None:
-        # what commands of flight are known of is a multirotor, whose gyros and accelerometers vibrate as it flies
+        # commands of flight are known of multirotors alone; their gyros and accelerometers vibrate in flight
         self._rule, self._commands = rule, commands and rule.airborne_command > 0.0
         self._settling = Settling(rule.settle_s, self._commands)
         self._driven: int | None = None

@@ -132,11 +132,10 @@ class FlightPhase:
         self._beats = Said()
         self._landings = Said()
         self._logged = False  # whether the reports are those of the vehicle's own log
-        # when it was last reported to be high; at about the height of its home, with no other report of the last
-        # seconds; at another height. None where it is not or unknown
-        self._high_ns: int | None = None
+        self._high_ns: int | None = None  # when it was last reported to be high; None where it is low or unknown
+        # when it was reported to be at about the height of its home, by all reports of the last second; None where not
         self._low_ns: int | None = None
-        self._away_ns: int | None = None
+        self._away_ns: int | None = None  # when it was last reported to be at another height
 
     @property
     def airborne(self) -> bool | None:

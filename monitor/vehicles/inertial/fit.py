@@ -153,7 +153,7 @@ _POOLS = (_POSITION, MOTION, GPS_VELOCITY, GYROS)
 _EXCUSES = (
     # A gyro that jumps, or an estimator that is fed with a wrong GPS, tilts the attitude: motion forgets it with its
     # washout.
-    ExcuseRule(MOTION, (*GYROS, *ACCELEROMETERS, *_POSITION, *GPS_VELOCITY), 2.0 * _VELOCITY_WASHOUT_S, sooner=True),
+    ExcuseRule(MOTION, (*GYROS, *ACCELEROMETERS, *_POSITION, *GPS_VELOCITY), 2.0 * _VELOCITY_WASHOUT_S, precedes=True),
     # The position is compared with the velocity: where that is wrong the position is no culprit.
     ExcuseRule(_POSITION, GPS_VELOCITY, 0.5 * _VELOCITY_WASHOUT_S),
     # A tilted attitude takes the magnetic field's dip for heading, which is forgotten with the washout of angles, and
