@@ -100,20 +100,11 @@ class Columns:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Consecutive messages of all senders, as columns.
+    """Consecutive messages of all senders, as columns."""
 
-    Parameters
-    ----------
-    count : int
-        Number of messages.
-    columns : tuple[Columns, ...]
-        By name and sender; no two have both in common.
-    others : Mapping[int, Message]
-        Messages that are no columns (texts, other kinds of source), by their index in the batch.
-    """
-
-    count: int
-    columns: tuple[Columns, ...]
+    count: int  # number of messages
+    columns: tuple[Columns, ...]  # by name and sender; no two have both in common
+    # messages that are no columns (texts, other kinds of source), by their index in the batch
     others: Mapping[int, Message]
 
     @property

@@ -15,27 +15,16 @@ SECOND_NS: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A decoded message with its time of arrival.
+    """A decoded message with its time of arrival."""
 
-    Parameters
-    ----------
-    source : Source
-        Kind of source, one of :data:`adapters.source.SOURCES`; recordings keep messages of all of them.
-    name : str
-        MAVLink message name (``"ATTITUDE"``), Zenoh key expression (``"arm/telemetry"``) or name of a log's record
-        (``"sensor_baro/1"``).
-    received_ns : int
-        Unix time of arrival, nanoseconds; in recordings below :data:`LATEST_NS`, what says otherwise is damaged.
-    fields : Mapping[str, Any]
-        Decoded fields: numbers, strings, lists and (JSON only) nested mappings.
-    system, component : int
-        MAVLink ids of the sender; 0 where the link has none.
-    """
-
-    source: Source
+    source: Source  # kind of source, one of :data:`adapters.source.SOURCES`; recordings keep messages of all of them
+    # MAVLink message name (``"ATTITUDE"``), Zenoh key expression (``"arm/telemetry"``) or name of a log's record
+    # (``"sensor_baro/1"``)
     name: str
+    # Unix time of arrival, nanoseconds; in recordings below :data:`LATEST_NS`, what says otherwise is damaged
     received_ns: int
-    fields: Mapping[str, Any]
+    fields: Mapping[str, Any]  # decoded fields: numbers, strings, lists and (JSON only) nested mappings
+    # MAVLink ids of the sender; 0 where the link has none
     system: int = 0
     component: int = 0
 

@@ -30,38 +30,20 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """Estimates at n consecutive samples of one observer as arrays, a row for each sample.
+    """Estimates at n consecutive samples of one observer as arrays, a row for each sample."""
 
-    Parameters
-    ----------
-    observer : str
-        The observer's name.
-    samples : Samples
-        The samples they were computed from.
-    x : NDArray[np.float64]
-        State estimates x^ (n, states).
-    fault : NDArray[np.float64]
-        Joint fault estimates [f_a^; f_s^] (n, a1 + a2) in the channels' units.
-    isolated : NDArray[np.float64]
-        Size attributed to each fault channel by isolation (n, a1 + a2), zero for the others.
-    residual : NDArray[np.float64]
-        Output errors yt = y - Cb zeta^ (n, p).
-    armed : NDArray[np.bool_]
-        Whether alarms could be raised from the sample (n,): in flight, observer settled, sample complete.
-    sd : NDArray[np.float64]
-        One standard deviation of ``fault`` (n, a1 + a2) in the same units, not a number where it is not known.
-    coasted_s : NDArray[np.float64]
-        Time since the last sample with measurements, seconds (n,); 0 for one that has them.
-    """
-
-    observer: str
-    samples: Samples
-    x: NDArray[np.float64]
-    fault: NDArray[np.float64]
+    observer: str  # the observer's name
+    samples: Samples  # the samples they were computed from
+    x: NDArray[np.float64]  # state estimates x^ (n, states)
+    fault: NDArray[np.float64]  # joint fault estimates [f_a^; f_s^] (n, a1 + a2) in the channels' units
+    # size attributed to each fault channel by isolation (n, a1 + a2), zero for the others
     isolated: NDArray[np.float64]
-    residual: NDArray[np.float64]
+    residual: NDArray[np.float64]  # output errors yt = y - Cb zeta^ (n, p)
+    # whether alarms could be raised from the sample (n,): in flight, observer settled, sample complete
     armed: NDArray[np.bool_]
+    # one standard deviation of ``fault`` (n, a1 + a2) in the same units, not a number where it is not known
     sd: NDArray[np.float64]
+    # time since the last sample with measurements, seconds (n,); 0 for one that has them
     coasted_s: NDArray[np.float64]
 
     def __len__(self) -> int:

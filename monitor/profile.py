@@ -156,45 +156,20 @@ class ObserverProfile:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """A vehicle's profile.
+    """A vehicle's profile."""
 
-    Parameters
-    ----------
-    name : str
-        Default name of the vehicle in topics and events.
-    vehicle : str
-        Kind of vehicle, as given to ``fauio fit``.
-    system : int
-        MAVLink system id to monitor; 0 takes the first one that sends the profile's channels.
-    gate : GateRule
-        When samples count as evidence.
-    stale_s : float
-        Silence after which telemetry is stale, seconds.
-    observers : tuple[ObserverProfile, ...]
-        The observers.
-    excuses : tuple[ExcuseRule, ...]
-        Which alarms explain evidence on which other channels.
-    files : Mapping[str, bytes]
-        Contents of the profile's files, by name, for recordings.
-    digest : str
-        SHA-256 over those files.
-    identity : Identity
-        Which vehicle the fitted recordings are of, as far as they say so.
-    mass_kg : float
-        Its mass in them; 0 where nobody has said it. Loads are told in shares of the weight then.
-    """
-
-    name: str
-    vehicle: str
-    system: int
-    gate: GateRule
-    stale_s: float
-    observers: tuple[ObserverProfile, ...]
-    excuses: tuple[ExcuseRule, ...]
-    files: Mapping[str, bytes]
-    digest: str
+    name: str  # default name of the vehicle in topics and events
+    vehicle: str  # kind of vehicle, as given to ``fauio fit``
+    system: int  # MAVLink system id to monitor; 0 takes the first one that sends the profile's channels
+    gate: GateRule  # when samples count as evidence
+    stale_s: float  # silence after which telemetry is stale, seconds
+    observers: tuple[ObserverProfile, ...]  # the observers
+    excuses: tuple[ExcuseRule, ...]  # which alarms explain evidence on which other channels
+    files: Mapping[str, bytes]  # contents of the profile's files, by name, for recordings
+    digest: str  # SHA-256 over those files
+    # which vehicle the fitted recordings are of, as far as they say so
     identity: Identity = field(default_factory=Identity)
-    mass_kg: float = 0.0
+    mass_kg: float = 0.0  # its mass in them; 0 where nobody has said it. Loads are told in shares of the weight then
 
 
 def read_profile(folder: str | Path) -> Profile:

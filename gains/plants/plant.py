@@ -49,36 +49,20 @@ def _nothing() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fault:
-    """One fault or attack channel.
+    """One fault or attack channel."""
 
-    Parameters
-    ----------
-    name : str
-        Channel name in estimates and alarms.
-    kind : {"actuator", "sensor"}
-        Whether it enters the states (a column of E_f) or the outputs (a column of D_f).
-    column : FloatArray
-        That column: (n,) or (p,). Empty with ``input``: the input's column of B.
-    rate : float
-        How fast an actuator fault may move, units per second: the bandwidth knob. A sensor fault needs no
-        such assumption and ignores it.
-    error : float
-        Error of the estimate that matters, in ``unit``.
-    unit : str
-        Unit of the estimate, for people.
-    input : str | None
-        The input whose effect v the fault changes: estimate over command is then a relative loss.
-    ahead : FloatArray
-        How an actuator fault moves the arguments of all nonlinearities (arguments,); empty stands for zeros.
-    """
-
-    name: str
-    kind: FaultKind
+    name: str  # channel name in estimates and alarms
+    kind: FaultKind  # whether it enters the states (a column of E_f) or the outputs (a column of D_f)
+    # that column: (n,) or (p,). Empty with ``input``: the input's column of B
     column: FloatArray = field(default_factory=_nothing)
+    # how fast an actuator fault may move, units per second: the bandwidth knob. A sensor fault needs no such assumption
+    # and ignores it
     rate: float = 1.0
-    error: float = 1.0
-    unit: str = ""
+    error: float = 1.0  # error of the estimate that matters, in ``unit``
+    unit: str = ""  # unit of the estimate, for people
+    # the input whose effect v the fault changes: estimate over command is then a relative loss
     input: str | None = None
+    # how an actuator fault moves the arguments of all nonlinearities (arguments,); empty stands for zeros
     ahead: FloatArray = field(default_factory=_nothing)
 
 
@@ -105,33 +89,17 @@ Signal = TypeVar("Signal", Disturbance, Noise)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nonlinearity:
-    """One scalar nonlinearity g_i(H_i x); it enters the states through column i of the plant's G.
+    """One scalar nonlinearity g_i(H_i x); it enters the states through column i of the plant's G."""
 
-    Parameters
-    ----------
-    expression : str
-        Text of g_i, for example ``"sin(v)"``.
-    arguments : tuple[str, ...]
-        Names of its arguments nu_j.
-    rows : FloatArray
-        H_i (number of arguments, n): nu = rows x.
-    slopes : FloatArray
-        Bounds a_ij <= dg_i/dnu_j <= b_ij (number of arguments, 2).
-    ranges : FloatArray
-        Box of the arguments on which the bounds hold (number of arguments, 2).
-    rates : FloatArray
-        How fast each argument moves at most, per second (number of arguments,); empty where that is not said. What a
-        sample leaves out of the nonlinearity is then one more disturbance (:mod:`gains.plants.discretise`).
-    ahead : FloatArray
-        [H_v, h] (number of arguments, s + 1): what inputs and time add to the arguments; empty stands for zeros.
-    """
-
-    expression: str
-    arguments: tuple[str, ...]
-    rows: FloatArray
-    slopes: FloatArray
-    ranges: FloatArray
+    expression: str  # text of g_i, for example ``"sin(v)"``
+    arguments: tuple[str, ...]  # names of its arguments nu_j
+    rows: FloatArray  # H_i (number of arguments, n): nu = rows x
+    slopes: FloatArray  # bounds a_ij <= dg_i/dnu_j <= b_ij (number of arguments, 2)
+    ranges: FloatArray  # box of the arguments on which the bounds hold (number of arguments, 2)
+    # how fast each argument moves at most, per second (number of arguments,); empty where that is not said. What a
+    # sample leaves out of the nonlinearity is then one more disturbance (:mod:`gains.plants.discretise`)
     rates: FloatArray = field(default_factory=_nothing)
+    # [H_v, h] (number of arguments, s + 1): what inputs and time add to the arguments; empty stands for zeros
     ahead: FloatArray = field(default_factory=_nothing)
 
 
@@ -139,64 +107,35 @@ class Nonlinearity:
 class Plant:
     """A plant with its faults; every array is checked, copied and made read-only.
 
-    Parameters
-    ----------
-    name : str
-        The model's name.
-    states, inputs, outputs : tuple[str, ...]
-        Names of x, u and y.
-    A, B, C : FloatArray
-        (n, n), (n, s), (p, n).
-    domain : {"continuous", "discrete"}
-        Whether x' or x+ stands on the left.
-    rate_hz : float | None
-        Samples per second of a discrete model, None in continuous time.
-    c : FloatArray
-        Constant offset (n,); empty stands for zero.
-    G : FloatArray
-        (n, m), a column for each nonlinearity; empty with none.
-    nonlinearities : tuple[Nonlinearity, ...]
-        The m scalar nonlinearities.
-    faults : tuple[Fault, ...]
-        Actuator and sensor faults in any order.
-    disturbances : tuple[Disturbance, ...]
-        w_1.
-    noises : tuple[Noise, ...]
-        w_2.
-    state_errors : FloatArray
-        Error of each state estimate that matters (n,); empty stands for ones.
-    taps : tuple[float, ...]
-        Delays of the inputs, newest first, sum 1; more than one in discrete models only.
-    curves : tuple[tuple[float, ...], ...]
-        Coefficients c1, c2, ... of each input's static curve; empty stands for v = u.
-    description : str
-        A sentence for people; no part of the model's hash.
-
     Raises
     ------
     ModelError
         Shapes, names or numbers that cannot be: the message names the key.
     """
 
-    name: str
+    name: str  # the model's name
+    # names of x, u and y
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    # (n, n), (n, s), (p, n)
     A: FloatArray
     B: FloatArray
     C: FloatArray
-    domain: Domain = "continuous"
-    rate_hz: float | None = None
-    c: FloatArray = field(default_factory=_nothing)
-    G: FloatArray = field(default_factory=_nothing)
-    nonlinearities: tuple[Nonlinearity, ...] = ()
-    faults: tuple[Fault, ...] = ()
-    disturbances: tuple[Disturbance, ...] = ()
-    noises: tuple[Noise, ...] = ()
+    domain: Domain = "continuous"  # whether x' or x+ stands on the left
+    rate_hz: float | None = None  # samples per second of a discrete model, None in continuous time
+    c: FloatArray = field(default_factory=_nothing)  # constant offset (n,); empty stands for zero
+    G: FloatArray = field(default_factory=_nothing)  # (n, m), a column for each nonlinearity; empty with none
+    nonlinearities: tuple[Nonlinearity, ...] = ()  # the m scalar nonlinearities
+    faults: tuple[Fault, ...] = ()  # actuator and sensor faults in any order
+    disturbances: tuple[Disturbance, ...] = ()  # w_1
+    noises: tuple[Noise, ...] = ()  # w_2
+    # error of each state estimate that matters (n,); empty stands for ones
     state_errors: FloatArray = field(default_factory=_nothing)
-    taps: tuple[float, ...] = (1.0,)
+    taps: tuple[float, ...] = (1.0,)  # delays of the inputs, newest first, sum 1; more than one in discrete models only
+    # coefficients c1, c2, ... of each input's static curve; empty stands for v = u
     curves: tuple[tuple[float, ...], ...] = ()
-    description: str = ""
+    description: str = ""  # a sentence for people; no part of the model's hash
 
     def __post_init__(self) -> None:
         n, s, p, m = len(self.states), len(self.inputs), len(self.outputs), len(self.nonlinearities)

@@ -34,55 +34,35 @@ class ScalarNonlinearity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gains:
-    """A compiled observer; the recursion it stands for is that of :mod:`monitor.estimation.affine`.
+    """A compiled observer; the recursion it stands for is that of :mod:`monitor.estimation.affine`."""
 
-    Parameters
-    ----------
-    model, model_hash : str
-        Name and hash of the plant model it was designed for.
-    method, domain : str
-        Synthesis, and ``"discrete"`` or ``"continuous"`` before compilation.
-    rate_hz : float
-        Samples per second.
-    states, inputs, outputs, faults : tuple[str, ...]
-        Names of x (n), u (s), y (p) and of [f_a; f_s] (a1 + a2).
-    fault_kinds, fault_units : tuple[str, ...]
-        ``"actuator"`` or ``"sensor"``, and the unit, of each fault.
-    fault_inputs : tuple[int | None, ...]
-        Index of the input whose effect each actuator fault changes, None where it changes none.
-    input_taps : tuple[float, ...]
-        Delays h_0, h_1, ... that are folded into the matrices.
-    input_curves : NDArray[np.float64]
-        Coefficients c1, c2, ... of v = curve(u) (s, degree).
-    nonlinearities : tuple[ScalarNonlinearity, ...]
-        The nonlinearities g_i (m of them), their arguments in the order of ``argument_matrix``.
-    step_matrix, argument_matrix, initial_matrix : NDArray[np.float64]
-        [s+; zeta^; fa^; yt] = step_matrix [s; v; y; 1; g], nu = argument_matrix [s; v; y; 1] and
-        s = initial_matrix [v; y; 1] at a restart.
-    K, L_i, L_p, L1, F, N, J, L_q, F_q : NDArray[np.float64]
-        The observer's matrices as the theory writes them, for people; empty where it has another structure.
-    report : Mapping[str, Any]
-        What the design is worth: bound, norm, certificate.
-    """
-
+    # name and hash of the plant model it was designed for
     model: str
     model_hash: str
+    # synthesis, and ``"discrete"`` or ``"continuous"`` before compilation
     method: str
     domain: str
-    rate_hz: float
+    rate_hz: float  # samples per second
+    # names of x (n), u (s), y (p) and of [f_a; f_s] (a1 + a2)
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     faults: tuple[str, ...]
+    # ``"actuator"`` or ``"sensor"``, and the unit, of each fault
     fault_kinds: tuple[str, ...]
     fault_units: tuple[str, ...]
+    # index of the input whose effect each actuator fault changes, None where it changes none
     fault_inputs: tuple[int | None, ...]
-    input_taps: tuple[float, ...]
-    input_curves: NDArray[np.float64]
+    input_taps: tuple[float, ...]  # delays h_0, h_1, ... that are folded into the matrices
+    input_curves: NDArray[np.float64]  # coefficients c1, c2, ... of v = curve(u) (s, degree)
+    # the nonlinearities g_i (m of them), their arguments in the order of ``argument_matrix``
     nonlinearities: tuple[ScalarNonlinearity, ...]
+    # [s+; zeta^; fa^; yt] = step_matrix [s; v; y; 1; g], nu = argument_matrix [s; v; y; 1] and s = initial_matrix [v;
+    # y; 1] at a restart
     step_matrix: NDArray[np.float64]
     argument_matrix: NDArray[np.float64]
     initial_matrix: NDArray[np.float64]
+    # the observer's matrices as the theory writes them, for people; empty where it has another structure
     K: NDArray[np.float64]
     L_i: NDArray[np.float64]
     L_p: NDArray[np.float64]
@@ -92,7 +72,7 @@ class Gains:
     J: NDArray[np.float64]
     L_q: NDArray[np.float64]
     F_q: NDArray[np.float64]
-    report: Mapping[str, Any]
+    report: Mapping[str, Any]  # what the design is worth: bound, norm, certificate
 
 
 def write_gains(gains: Gains, path: str | Path) -> None:
