@@ -1,4 +1,4 @@
-"""The findings that a review looks for."""
+"""The findings that a review looks for, in the order of causes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from replay.review.findings import (
     actuator_effect,
     attitude_not_followed,
     battery_low,
-    commands_from_outside,
+    commanded,
     descent_not_followed,
     esc_stopped,
     estimator_reset,
@@ -16,23 +16,29 @@ from replay.review.findings import (
     gps_lost,
     gps_stuck,
     innovations_refused,
-    landing_detected_in_air,
     log_ends_in_flight,
     motor_at_limit,
-    motor_command_stopped,
-    motors_stopped_in_air,
-    position_altered,
     sensor_effect,
     turned_over,
     vibration,
 )
 from replay.review.findings.rule import Rule
 
-RULES: Final[tuple[Rule, ...]] = tuple(
-    finding.RULE for finding in (
-        commands_from_outside, position_altered, landing_detected_in_air, motors_stopped_in_air,
-        motor_command_stopped, battery_low, log_ends_in_flight, esc_stopped, motor_at_limit, actuator_effect,
-        descent_not_followed, turned_over, attitude_not_followed, gps_lost, gps_stuck, sensor_effect,
-        vibration, innovations_refused, estimator_reset, failsafe,
-    )
-)  # fmt: skip
+RULES: Final[tuple[Rule, ...]] = (
+    *commanded.RULES,
+    battery_low.RULE,
+    log_ends_in_flight.RULE,
+    esc_stopped.RULE,
+    motor_at_limit.RULE,
+    actuator_effect.RULE,
+    descent_not_followed.RULE,
+    turned_over.RULE,
+    attitude_not_followed.RULE,
+    gps_lost.RULE,
+    gps_stuck.RULE,
+    sensor_effect.RULE,
+    vibration.RULE,
+    innovations_refused.RULE,
+    estimator_reset.RULE,
+    failsafe.RULE,
+)
