@@ -5,19 +5,15 @@ from __future__ import annotations
 from typing import Final
 
 from replay.review.findings import (
-    actuator_effect,
-    attitude_not_followed,
     commanded,
-    descent_not_followed,
     estimator_reset,
     failsafe,
     gps_lost,
     gps_stuck,
     innovations_refused,
-    motor_at_limit,
+    motion,
     power,
     sensor_effect,
-    turned_over,
     vibration,
 )
 from replay.review.findings.rule import Rule
@@ -25,11 +21,7 @@ from replay.review.findings.rule import Rule
 RULES: Final[tuple[Rule, ...]] = (
     *commanded.RULES,
     *power.RULES,
-    motor_at_limit.RULE,
-    actuator_effect.RULE,
-    descent_not_followed.RULE,
-    turned_over.RULE,
-    attitude_not_followed.RULE,
+    *motion.RULES,
     gps_lost.RULE,
     gps_stuck.RULE,
     sensor_effect.RULE,
