@@ -8,13 +8,10 @@ from replay.review.findings import (
     commanded,
     estimator_reset,
     failsafe,
-    gps_lost,
-    gps_stuck,
     innovations_refused,
     motion,
     power,
-    sensor_effect,
-    vibration,
+    sensors,
 )
 from replay.review.findings.rule import Rule
 
@@ -22,10 +19,7 @@ RULES: Final[tuple[Rule, ...]] = (
     *commanded.RULES,
     *power.RULES,
     *motion.RULES,
-    gps_lost.RULE,
-    gps_stuck.RULE,
-    sensor_effect.RULE,
-    vibration.RULE,
+    *sensors.RULES,
     innovations_refused.RULE,
     estimator_reset.RULE,
     failsafe.RULE,
