@@ -4,15 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from replay.review.findings import (
-    commanded,
-    estimator_reset,
-    failsafe,
-    innovations_refused,
-    motion,
-    power,
-    sensors,
-)
+from replay.review.findings import commanded, estimator, motion, power, sensors
 from replay.review.findings.rule import Rule
 
 RULES: Final[tuple[Rule, ...]] = (
@@ -20,7 +12,5 @@ RULES: Final[tuple[Rule, ...]] = (
     *power.RULES,
     *motion.RULES,
     *sensors.RULES,
-    innovations_refused.RULE,
-    estimator_reset.RULE,
-    failsafe.RULE,
+    *estimator.RULES,
 )
