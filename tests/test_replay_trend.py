@@ -23,9 +23,8 @@ from replay.player import interests
 from replay.reports.levels import WearLevel, WornChannel, wear_sign, worn_channels
 from replay.runs.one_log import LogOutcome, LogTask, replay_log
 from replay.runs.summary_table import SummaryTable
-from replay.wear.flight_table import read_table
 from replay.wear.line import fit_line
-from replay.wear.trend import LoggedFlight, Wear, find_wear, wear_sentences
+from replay.wear.trend import LoggedFlight, Wear, find_wear, read_table, wear_sentences
 
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 MOTORS = [WornChannel("motors", f"motor{n}", "% of thrust") for n in range(1, 5)]

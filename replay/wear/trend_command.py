@@ -50,8 +50,7 @@ def run_trend(args: argparse.Namespace) -> int:
     from adapters.errors import TelemetryError, UsageError
     from adapters.output_file import check_suffix
     from replay.runs.log_list import check_output
-    from replay.wear.flight_table import SUFFIXES, read_table
-    from replay.wear.trend import find_wear, trend_lines, wear_sentences
+    from replay.wear.trend import SUFFIXES, find_wear, read_table, trend_lines, wear_sentences
 
     tables = [path for path in args.flights if path.suffix.lower() in SUFFIXES]
     logs = [path for path in args.flights if path not in tables]
