@@ -15,9 +15,8 @@ from gains.plants.model_file import builtin_model
 from gains.plants.plant import Fault, Plant
 from gains.synthesis.bank import compile_bank, design_bank
 from gains.synthesis.gains_file import Gains
-from monitor.estimation.affine import AffineObserver
+from monitor.estimation.affine import AffineObserver, stack_layout
 from monitor.estimation.input_curve import effect_of_command
-from monitor.estimation.stack_layout import stack_layout
 
 Array = NDArray[np.float64]
 COUNT = 60

@@ -58,7 +58,7 @@ cdef class AffineMap:
         nu = N z,    [c+; x^; f^; yt] = M z,    z = [c; v; past v; y; 1; g(nu); f^ before]
 
     with one pair (M, N) for each kind of row: measured, coasted, and the first one measured after that. Matrices and
-    layout come from :mod:`monitor.estimation.stack_layout`.
+    layout come from :mod:`monitor.estimation.affine`.
 
     Parameters
     ----------
