@@ -28,7 +28,7 @@ from onboard_flights import ulog_of
 import fauio
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.recordings import read_recording
-from adapters.logs.ulog_format import parse_format
+from adapters.logs.ulog import parse_format
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 QUAD = Path(fauio.__file__).parent / "replay" / "data" / "quad"
