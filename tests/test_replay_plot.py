@@ -14,8 +14,7 @@ from monitor.trace import TraceBuilder
 from monitor.views.palette import BLUE, DARK, GREY, SERIES, SEVERITY, rgba
 from monitor.views.panels import RunView
 from monitor.views.plot_style import DPI, WIDTH_IN
-from replay.reports.plot import HIGHEST_IN, plot_png
-from replay.reports.plot_panels import BAND_ALPHA, DOUBT_ALPHA, SPAN_ALPHA
+from replay.reports.plot import BAND_ALPHA, DOUBT_ALPHA, HIGHEST_IN, SPAN_ALPHA, plot_png
 
 EVENTS = [event(1020, "raised"), event(1300, "cleared"), event(1400, "raised", id="02J", severity="critical")]
 
