@@ -30,8 +30,7 @@ from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.views.live_buffer import VehicleView
-from monitor.views.live_view import LiveView
-from monitor.views.rerun_process import rerun_binary
+from monitor.views.live_view import LiveView, rerun_binary
 
 EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
 

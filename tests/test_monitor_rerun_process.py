@@ -13,7 +13,7 @@ from loopback import free_port, until
 ROOT = Path(__file__).parent.parent
 SERVE = """
 import sys, time
-from monitor.views.rerun_process import RerunProcess
+from monitor.views.live_view import RerunProcess
 process = RerunProcess("serve", int(sys.argv[1]), 64)
 print(process._process.pid, process._guard.pid, flush=True)
 if sys.argv[2] == "close":
