@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.fitting.flight_rate import FlightRate
+from monitor.fitting.survey import FlightRate
 
 S = 1_000_000_000
 

@@ -20,11 +20,10 @@ from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
 from monitor.bus.alarm_text import utc
 from monitor.event import AlarmEvent
-from monitor.fitting.flight_rate import FlightRate
 from monitor.fitting.flights import phase_reports
 from monitor.fitting.progress import track
 from monitor.fitting.raw_streams import hidden
-from monitor.fitting.survey import ESC_MESSAGES, MOTOR_MESSAGE, Survey, of_one_vehicle, survey
+from monitor.fitting.survey import ESC_MESSAGES, MOTOR_MESSAGE, FlightRate, Survey, of_one_vehicle, survey
 from monitor.sampling.identity import Reports
 from monitor.sampling.slow_telemetry import motor_gain, slow_messages
 from monitor.sampling.supply import BATTERY_MESSAGE, CELLS_MESSAGE
