@@ -33,7 +33,7 @@ from adapters.logs.ulog import UlogReader
 from adapters.message import Message
 from adapters.source import CLOCK, MAVLINK, ULOG, ZENOH
 from adapters.toml_tables import TomlFile
-from replay.inspection.info_text import info_lines
+from replay.inspection.info import info_lines
 from replay.inspection.log_info import log_info
 
 # How protobuf's own classes name what every message has: a field may bear any of these names too.

@@ -242,8 +242,7 @@ def run_convert(args: argparse.Namespace) -> int:
 
 def run_info(args: argparse.Namespace) -> int:
     """Run ``fauio info``."""
-    from replay.inspection.info import info
-    from replay.inspection.info_text import info_lines
+    from replay.inspection.info import info, info_lines
 
     content = info(args.file)
     if args.json:
