@@ -5,10 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from replay.runs.replay_command import LOG_HELP
+
+if TYPE_CHECKING:
+    from replay.review.review import LogReview
 
 WRONG = 1
 """Exit status where something is wrong with a vehicle, as linters have it; 2 is bad input as everywhere."""
@@ -42,7 +46,6 @@ def run_review(args: argparse.Namespace) -> int:
     from adapters.errors import TelemetryError, printable
     from adapters.output_file import write_file
     from replay.review.review import review_log
-    from replay.review.review_text import review_lines
     from replay.runs.log_list import check_outputs, find_logs, target
 
     logs = find_logs(args.logs)
@@ -72,3 +75,34 @@ def run_review(args: argparse.Namespace) -> int:
             write_file(report, review_page(review))
         wrong |= review.wrong
     return 2 if failed else WRONG if wrong else 0
+
+
+_MOST_STATED = 40
+"""Entries of a time line that a screen holds beside the findings; the page and JSON have them all."""
+
+
+def review_lines(review: LogReview) -> Iterator[str]:
+    """Yield the verdict, the findings with their evidence, the time line, and what could not be judged."""
+    facts = review.facts
+    kind = " ".join(word for word in (facts.autopilot, facts.vehicle) if word) or "unknown vehicle"
+    yield f"{review.log.name}: {kind}, {facts.duration_s:.0f} s, {facts.flight_text}"
+    yield f"  {review.sentence}"
+    explained: set[str] = set()
+    for finding in review.findings:
+        mark = finding.rank or finding.judgement.weight
+        yield f"  [{mark}] {finding.judgement.start_s:.1f} s, {finding.rule.title} ({finding.judgement.confidence})"
+        yield f"      {finding.judgement.text}"
+        yield from (f"      evidence: {line}" for line in finding.judgement.evidence)
+        # what holds of all findings of a rule is said once
+        counter = finding.judgement.counter if finding.rule.name in explained else finding.counter
+        explained.add(finding.rule.name)
+        yield from (f"      looks alike: {line}" for line in counter)
+    entries = review.timeline()
+    if entries:
+        yield "  time line:"
+        yield from (f"    {at:8.1f} s  {kind}: {text}" for at, kind, text in entries[:_MOST_STATED])
+        if len(entries) > _MOST_STATED:
+            yield f"    ... and {len(entries) - _MOST_STATED} more"
+    if review.watched:
+        yield f"  looked for and not there: {', '.join(review.watched)}"
+    yield from (f"  not judged: {titles}: {why}" for titles, why in review.reasons())
