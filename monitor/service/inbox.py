@@ -261,8 +261,10 @@ class Inbox:
                 batch = link.receive(_POLL_S)
                 self._meters[name].count(batch)
                 self.put(batch, vehicle)
-                with self._emptied:
-                    self._emptied.wait_for(lambda: self._closed or not self._waiting, _COLLECTED_S)
+                if self._waiting > batch.count:
+                    # Not for what was put just now: it is taken while the link waits for more.
+                    with self._emptied:
+                        self._emptied.wait_for(lambda: self._closed or not self._waiting, _COLLECTED_S)
             except Exception:
                 # Whatever a link meets, monitoring of the others goes on.
                 self._errors += 1
