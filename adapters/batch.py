@@ -300,9 +300,11 @@ def _same_form(first: Columns, second: Columns) -> bool:
 def _concatenated(alike: Sequence[tuple[int, Columns]]) -> Columns:
     if len(alike) == 1 and not alike[0][0]:
         return alike[0][1]
+    counts = [len(columns.position) for _, columns in alike]
     return replace(
         alike[0][1],
-        position=np.concatenate([offset + columns.position for offset, columns in alike]),
+        position=np.concatenate([columns.position for _, columns in alike])
+        + np.repeat(np.array([offset for offset, _ in alike]), counts),
         received_ns=np.concatenate([columns.received_ns for _, columns in alike]),
         fields=_one_after_the_other([columns.fields for _, columns in alike]),
     )
@@ -313,8 +315,8 @@ def _one_after_the_other(parts: Sequence[Fields]) -> Fields:
     records = [fields.record for fields in parts if isinstance(fields, RecordFields)]
     if isinstance(first, RecordFields) and len(records) == len(parts):
         # As plain bytes: NumPy would look for a type that all of them fit, field by field.
-        content = np.concatenate([record.view(f"V{record.itemsize}") for record in records])
-        return RecordFields(content.view(first.record.dtype), first.places)
+        content = b"".join([record.tobytes() for record in records])
+        return RecordFields(np.frombuffer(content, first.record.dtype), first.places)
     return {name: np.concatenate([fields[name] for fields in parts]) for name in parts[0]}
 
 

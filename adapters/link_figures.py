@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, Columns
+from adapters.batch import Batch, Columns, joined
 from adapters.channels import CLOCK_UNITS_NS
 
 _MINUTE_NS = 60_000_000_000
@@ -79,14 +80,14 @@ class _Stream:
             self._least_ns.append((minute, least))
         delays = transit - min(least_ns for _, least_ns in self._least_ns)
         before = np.concatenate([[self._transit_ns], transit]) if known else transit
-        changes = np.abs(np.diff(before))
+        changes = np.abs(before[1:] - before[:-1])
         ordered = np.unique(np.concatenate([[self._stamp_ns], stamps]) if known else stamps)
-        steps = np.diff(ordered)
+        steps = ordered[1:] - ordered[:-1]
         steps = steps[steps < _BROKEN_NS]
         known_steps = np.concatenate([self._steps, steps])
         self._steps = known_steps[-_STEPS:]
         self._stamp_ns, self._transit_ns = int(ordered[-1]), int(transit[-1])
-        usual = float(np.median(known_steps)) if len(known_steps) >= _STEPS else np.inf
+        usual = float(median(known_steps.tolist())) if len(known_steps) >= _STEPS else np.inf
         late = steps[steps > _LOST * usual]
         return _Sums(
             float(delays.sum()),
@@ -138,20 +139,15 @@ class LinkMeter:
         )
 
     def _look(self) -> None:
-        parts: dict[tuple[str, int, int], list[Columns]] = {}
-        while self._waiting:
-            for columns in self._waiting.popleft().columns:
-                if columns.source.is_telemetry and not columns.source.is_onboard_log:
-                    parts.setdefault((columns.name, columns.system, columns.component), []).append(columns)
         newest_ns, sums = 0, []
-        for key, alike in parts.items():
-            stamps = _stamps(alike)
+        for columns in joined([self._waiting.popleft() for _ in range(len(self._waiting))]).columns:
+            stamps = None if columns.source.is_onboard_log else _stamps(columns)
             if stamps is not None:
-                received = np.concatenate([columns.received_ns for columns in alike])
                 # A repeated stamp is one measurement.
-                new = np.flatnonzero(np.diff(stamps, prepend=stamps[0] - 1))
-                sums.append(self._streams.setdefault(key, _Stream()).add(stamps[new], received[new]))
-                newest_ns = max(newest_ns, int(received[-1]))
+                new = np.concatenate([[True], stamps[1:] != stamps[:-1]])
+                stream = self._streams.setdefault((columns.name, columns.system, columns.component), _Stream())
+                sums.append(stream.add(stamps[new], columns.received_ns[new]))
+                newest_ns = max(newest_ns, int(columns.received_ns[-1]))
         if sums:
             self._sums.append((newest_ns, _total(sums)))
         if not self._recent and len(self._sums) > _MOST_BATCHES:
@@ -160,13 +156,13 @@ class LinkMeter:
             self._sums.popleft()
 
 
-def _stamps(alike: list[Columns]) -> NDArray[np.int64] | None:
-    """Return the stamps of messages on their sender's clock, nanoseconds; None where they have none."""
-    for name, unit_ns in CLOCK_UNITS_NS.items():
-        if name in alike[0].fields:
-            parts = [columns.fields.get(name) for columns in alike]
-            if any(part is None or part.ndim != 1 or part.dtype.kind not in "iu" for part in parts):
+def _stamps(columns: Columns) -> NDArray[np.int64] | None:
+    """Return the stamps of telemetry on its sender's clock, nanoseconds; None where it has none."""
+    for name, unit_ns in CLOCK_UNITS_NS.items() if columns.source.is_telemetry else ():
+        values = columns.fields.get(name)
+        if values is not None:
+            if values.ndim != 1 or values.dtype.kind not in "iu":
                 return None
-            stamps = np.concatenate([part.astype(np.int64) for part in parts if part is not None])
+            stamps = values.astype(np.int64)
             return stamps * unit_ns if np.all((stamps > 0) & (stamps < (1 << 62) // unit_ns)) else None
     return None
