@@ -1,0 +1,98 @@
+"""The vehicle's roll or pitch went far from what its autopilot wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import Floats, LogFacts, LogSignal, degrees_apart, spans_where
+from replay.review.findings.loss_of_control import FULL, IDLE, lost_s, undisturbed
+from replay.review.findings.rule import Judgement, Rule
+
+_APART_DEG = 30.0
+"""ArduPilot's crash check has 30 degrees. Measured: in eleven healthy flights, some at full sticks and 60 degrees of
+tilt, the attitude is at most 24 degrees behind for half a second."""
+_APART_S = 0.5
+"""Chosen: twice the time in which a multirotor rolls by its greatest angle."""
+
+
+def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, motors: LogSignal) -> Iterator[Judgement]:
+    times = attitude.time_s
+    apart = _apart(attitude, wanted)
+    end_s = lost_s(facts)
+    # what came before the motors were stopped, and the tumbling itself; idle motors hold no attitude
+    most = motors.at(times).max(axis=1)
+    judged = facts.in_flight(times) & (times < end_s + _APART_S)
+    judged &= most > IDLE * np.median(most[judged & np.isfinite(most)] if judged.any() else 0.0)
+    far = (apart > _APART_DEG).any(axis=1) & judged
+    # what never followed has not stopped to: an estimator that does not know its attitude yet
+    far &= np.logical_or.accumulate(judged & ~far)
+    spans = (span for span in spans_where(times, far, _APART_S) if _left(attitude, apart, *span))
+    for start, end in [span for span in spans if not undisturbed(facts, span[0])][:1]:
+        within = (times >= start) & (times <= end)
+        axis = int(np.argmax(np.nanmax(apart[within], axis=0)))
+        most = float(np.nanmax(apart[within, axis]))
+        name = attitude.names[axis]
+        about = motors.during(start - 1.0, start + 1.0)
+        peaks = np.nanmax(about.values, axis=0, initial=0.0)
+        full = [motor for motor, peak in zip(motors.names, peaks.tolist(), strict=True) if peak > FULL]
+        yield Judgement(
+            start_s=start,
+            end_s=end,
+            text=f"{name} went up to {most:.0f} degrees from what the autopilot wanted, for {end - start:.1f} s"
+            + (f", with {' and '.join(full)} at full command" if full else ""),
+            evidence=(
+                f"{attitude.origin} against {wanted.origin}: {most:.0f} degrees apart in {name} from {start:.2f} s on",
+                *([f"{motors.origin}: {', '.join(full)} at full command"] if full else []),
+                *_high(facts, start),
+            ),
+            weight="critical",
+        )
+
+
+def _apart(attitude: LogSignal, wanted: LogSignal) -> Floats:
+    """Return how far roll and pitch are from all that was wanted over the last half second (n, 2), degrees."""
+    ways = [
+        degrees_apart(attitude.values[:, :2], wanted.at(attitude.time_s - ago)[:, :2])
+        for ago in np.linspace(0.0, _APART_S, _AGO)
+    ]
+    return np.asarray(np.fmin.reduce(ways))
+
+
+def _left(attitude: LogSignal, apart: Floats, start_s: float, end_s: float) -> bool:
+    """Return whether the attitude left what was wanted: on the ground sticks move, and the vehicle does not."""
+    first, last = np.searchsorted(attitude.time_s, (start_s - 2 * _APART_S, end_s))
+    moved = np.ptp(attitude.values[first:last, :2], axis=0)
+    return bool((moved[apart[first:last].max(axis=0) > _APART_DEG] > _APART_DEG / 2).any())
+
+
+_AGO = 6
+"""Moments of that half second that are looked at: as many as the slowest log that is judged has, and two more."""
+
+
+def _high(facts: LogFacts, at_s: float) -> Iterator[str]:
+    height = facts.signals.get("height")
+    if height is not None:
+        yield f"{height.origin}: {height.at(np.array([at_s]))[0, 0]:.1f} m above where the log begins"
+
+
+RULE = Rule(
+    name="attitude_not_followed",
+    title="Attitude not followed",
+    stage="motion",
+    physics="An autopilot holds roll and pitch within some degrees of what it wants as long as its motors have room. "
+    "Where they do not (a motor lost, a load, a blow), the attitude leaves it.",
+    evidence="30 degrees apart for half a second in flight, while motors were commanded to turn",
+    counter=(
+        "motors were commanded to turn until then, more than idle: it was not let fall",
+        f"it is far from all that was wanted over the last {_APART_S:g} s: a vehicle at full sticks is not",
+        "the attitude itself moved: on the ground sticks do, and the vehicle does not",
+        "accelerometers or the barometer show a blow, a fall or a tilt, so far as the log has them",
+    ),
+    needs=("attitude", "attitude_wanted", "motors"),
+    plots=("attitude", "attitude_wanted", "motors"),
+    judge=_judge,
+    multirotor=True,
+    least_hz=7.5,  # of half a second four samples
+)

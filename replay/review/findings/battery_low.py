@@ -1,0 +1,62 @@
+"""The battery's voltage fell far below where it began, and motors had to make up for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, LogSignal
+from replay.review.findings.loss_of_control import in_control, spans_in_control
+from replay.review.findings.rule import Judgement, Rule
+
+_CELL_V = 3.3
+"""Volts of a cell of lithium polymer under load below which its voltage collapses (PX4's docs: empty at 3.5 under load,
+damage below 3.3)."""
+_FULL_CELL_V = 4.2
+"""Volts of a full cell, by which the number of cells is guessed where nothing says it: then it stays information."""
+_LEAST_S = 3.0
+"""Chosen: longer than a full command of the motors, which lets voltage sag and come back."""
+_CELLS, _EMPTY = ("BAT1_N_CELLS", "BAT_N_CELLS"), ("BAT1_V_EMPTY", "BAT_V_EMPTY")
+
+
+def _judge(facts: LogFacts, battery: LogSignal) -> Iterator[Judgement]:
+    volts = battery.only
+    if not (in_control(facts, battery.time_s) & np.isfinite(volts)).any():
+        return
+    said = next((facts.parameters[name] for name in _CELLS if facts.parameters.get(name, 0) > 0), 0.0)
+    cells = int(said) or max(1, round(float(np.nanmax(volts)) / _FULL_CELL_V))
+    source = "as its parameters say" if said else "from the highest voltage"
+    # cells of lithium ion may be taken further down, which their owner then says
+    limit = min([_CELL_V, *(facts.parameters[name] for name in _EMPTY if facts.parameters.get(name, 0.0) > 1.0)])
+    for start, end in spans_in_control(facts, battery, volts < limit * cells, _LEAST_S)[:1]:
+        least = float(battery.during(start, end).only.min())
+        yield Judgement(
+            start_s=start,
+            end_s=end,
+            text=f"the battery was down to {least:.1f} V, {least / cells:.2f} V for each of {cells} cells",
+            evidence=(
+                f"{battery.origin}: below {limit * cells:.1f} V from {start:.1f} to {end:.1f} s",
+                f"{cells} cells, {source}",
+            ),
+            confidence="likely" if said else "possible",
+            weight="warning" if said else "information",
+        )
+
+
+RULE = Rule(
+    name="battery_low",
+    title="Battery empty",
+    stage="supply",
+    physics="Below 3.3 V a cell's voltage collapses under load: motors get less than their commands ask for, and in "
+    "the end the autopilot no power.",
+    evidence="less than 3.3 V for each cell, or what the parameters call empty where that is less, over 3 s of flight",
+    counter=(
+        "the log says that a battery is connected and shows volts, not zero",
+        "a dip under full command passes within seconds",
+        "where the number of cells is a guess it is information alone",
+    ),
+    needs=("battery",),
+    plots=("battery", "motors"),
+    judge=_judge,
+)

@@ -1,0 +1,63 @@
+"""Somebody who had not commanded the vehicle before take-off did so in flight, or commands came in a flood."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from monitor.alarms.command_watch import FLOOD, CommandWatch, ends_flight
+from replay.review.facts.log_facts import LogFacts
+from replay.review.findings.rule import Judgement, Rule
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    watch, flood_s = CommandWatch(), None
+    flown = facts.in_flight(np.array([command.time_s for command in facts.commands]))
+    for command, flies in zip(facts.commands, flown.tolist(), strict=True):
+        for said in watch.follow(command, flies):
+            if said.kind == "flood":
+                flood_s = command.time_s if flood_s is None else flood_s
+                continue
+            known, ends = sorted(watch.known), ends_flight(command.name, command.values)
+            yield Judgement(
+                start_s=command.time_s,
+                end_s=command.time_s,
+                text=said.text,
+                evidence=(
+                    f"{'MAV_CMD ' * command.name.isdigit()}{command.name} at {command.time_s:.2f} s with "
+                    f"{', '.join(map(str, command.values)) or 'nothing'}",
+                ),
+                counter=(f"commands before take-off came from {known or 'nobody'}",),
+                confidence="likely" if known else "possible",
+                # what falls from nowhere is disarmed at each drive's end, by whoever has it at hand
+                weight=said.weight if facts.flies or not ends else "information",
+            )
+    if flood_s is not None:
+        yield Judgement(
+            start_s=flood_s,
+            end_s=flood_s + 1.0,
+            text=f"up to {watch.most} commands a second reached the vehicle in flight",
+            evidence=(f"more than {FLOOD} commands within a second, from {flood_s:.2f} s on",),
+            confidence="certain",
+        )
+
+
+RULE = Rule(
+    name="commands_from_outside",
+    title="Commands from a new sender in flight",
+    stage="link",
+    physics="MAVLink without signing obeys everybody. An attacker disarms, reboots, changes the mode, rewrites the "
+    "mission or takes safety parameters away; the vehicle does as it is told, and nothing fails.",
+    evidence="such a command in flight from ids that had not commanded before take-off; more than "
+    f"{FLOOD} commands a second",
+    counter=(
+        "a second ground station that was switched on in flight looks the same",
+        "on the ground a disarming ends every drive: of vehicles that do not fly it is information alone",
+        "missions and parameters of a ground station come with an answer to each, and slower than a flood",
+        "a sender that uses the ids of the ground station is not seen: signing alone tells it apart",
+    ),
+    needs=(),
+    plots=("height", "motors", "attitude"),
+    judge=_judge,
+)

@@ -1,0 +1,45 @@
+"""The estimator set its position or height anew in flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, LogSignal
+from replay.review.findings.loss_of_control import in_control
+from replay.review.findings.rule import Judgement, Rule
+
+_AFTER_S = 5.0
+"""Seconds after take-off in which a reset is usual: yaw and height are aligned anew when the ground no longer disturbs
+the compass and the barometer (PX4 does so from 1.5 m on)."""
+
+
+def _judge(facts: LogFacts, resets: LogSignal) -> Iterator[Judgement]:
+    judged = in_control(facts, resets.time_s) & (resets.time_s > facts.flight[0][0] + _AFTER_S)
+    for k, name in enumerate(resets.names):
+        late = resets.time_s[1:][(np.diff(resets.values[:, k]) > 0) & judged[1:]].tolist()
+        if late:
+            yield Judgement(
+                start_s=late[0],
+                end_s=late[-1],
+                text=f"the estimator set its {name} anew {len(late)} time{'s' * (len(late) > 1)} in flight",
+                evidence=(f"{resets.origin}: counter of {name} from {late[0]:.1f} s on",),
+                weight="warning" if name in ("position", "height") else "information",
+            )
+
+
+RULE = Rule(
+    name="estimator_reset",
+    title="Estimator reset in flight",
+    stage="estimator",
+    physics="An estimator that has refused a source for seconds takes it up again by a jump.",
+    evidence="its counter of resets goes up in flight",
+    counter=(
+        f"resets within {_AFTER_S:g} s of take-off are usual, and were left out",
+        "the vehicle was still flown: a fall or stopped motors come before none of them",
+    ),
+    needs=("resets",),
+    plots=("resets", "ratios", "height_estimate"),
+    judge=_judge,
+)

@@ -1,0 +1,43 @@
+"""The estimator used GPS, and its fix was lost in flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import FIX_3D, LogFacts, LogSignal
+from replay.review.findings.loss_of_control import in_control, spans_in_control
+from replay.review.findings.rule import Judgement, Rule
+
+_LEAST_S = 1.0
+"""Chosen: five fixes of a receiver of usual rates."""
+
+
+def _judge(facts: LogFacts, gps: LogSignal) -> Iterator[Judgement]:
+    known = np.logical_or.accumulate((gps.only >= FIX_3D) & in_control(facts, gps.time_s))
+    for start, end in spans_in_control(facts, gps, known & (gps.only < FIX_3D), _LEAST_S)[:1]:
+        fewest = int(gps.during(start, end).values[:, 1].min())
+        yield Judgement(
+            start_s=start,
+            end_s=end,
+            text=f"GPS lost its fix for {end - start:.1f} s in flight, with {fewest} satellites",
+            evidence=(f"{gps.origin}: fix below 3 from {start:.1f} to {end:.1f} s, {fewest} satellites at least",),
+            confidence="certain",
+        )
+
+
+RULE = Rule(
+    name="gps_lost",
+    title="GPS fix lost in flight",
+    stage="sensor",
+    physics="Without a fix the estimator goes on by inertia alone, and drifts by metres within seconds.",
+    evidence="no fix of three dimensions for a second in flight, after one",
+    counter=(
+        "the estimator used GPS in this flight: where vision or flow is used, a receiver moves nothing",
+        "it had a fix before",
+    ),
+    needs=("gps",),
+    plots=("gps", "ratios", "height_estimate"),
+    judge=_judge,
+)

@@ -1,0 +1,42 @@
+"""The estimator refused measurements, while the vehicle was still flown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, LogSignal
+from replay.review.findings.loss_of_control import spans_in_control
+from replay.review.findings.rule import Judgement, Rule
+
+_REFUSED = 1.0
+"""By definition: the innovation is at its gate."""
+_LEAST_S = 1.0
+"""ArduPilot's EKF check fails as long (10 times in a row at 10 Hz)."""
+
+
+def _judge(facts: LogFacts, ratios: LogSignal) -> Iterator[Judgement]:
+    for k, name in enumerate(ratios.names):
+        for start, end in spans_in_control(facts, ratios, ratios.values[:, k] > _REFUSED, _LEAST_S)[:1]:
+            most = float(np.nanmax(ratios.during(start, end).values[:, k]))
+            yield Judgement(
+                start_s=start,
+                end_s=end,
+                text=f"the estimator refused its measurements of {name} for {end - start:.1f} s",
+                evidence=(f"{ratios.origin}: {name} up to {most:.1f} times what it admits, from {start:.1f} s on",),
+            )
+
+
+RULE = Rule(
+    name="innovations_refused",
+    title="Measurements refused by the estimator",
+    stage="estimator",
+    physics="Motion predicted from gyros and accelerometers and measured by GPS or barometer disagree by more than "
+    "their noise: one of the two is wrong.",
+    evidence="an innovation beyond its gate for a second in flight",
+    counter=("the vehicle was still flown then: what comes after a fall, a blow or stopped motors is left out",),
+    needs=("ratios",),
+    plots=("ratios", "height", "height_estimate"),
+    judge=_judge,
+)

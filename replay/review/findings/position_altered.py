@@ -1,0 +1,52 @@
+"""The autopilot's controller flew by a position that its estimator did not have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, LogSignal
+from replay.review.findings.loss_of_control import spans_in_control
+from replay.review.findings.rule import Judgement, Rule
+
+_APART_M = 2.5
+"""Metres by which half of a receiver's fixes are off (data sheet of u-blox's M8): less takes nobody off course.
+Measured in 88 logs without such an attack: 0.0 m, and on ten real flights, whose estimator changed its lane, up to
+63 m for less than a second."""
+_LEAST_S = 1.0
+"""A reset or a change of lane reaches the controller with the next record, a tenth of that later."""
+
+
+def _judge(facts: LogFacts, apart: LogSignal) -> Iterator[Judgement]:
+    for start, end in spans_in_control(facts, apart, apart.only > _APART_M, _LEAST_S)[:1]:
+        during = apart.during(start, end).only
+        yield Judgement(
+            start_s=start,
+            end_s=end,
+            text=f"the autopilot flew by a position up to {during.max():.0f} m from the one that it estimated, "
+            f"for {end - start:.1f} s: something inside it altered the position",
+            evidence=(
+                f"{apart.origin}: {during[0]:.1f} m apart at {start:.1f} s, {np.median(during):.1f} m in the middle",
+            ),
+            confidence="certain",
+            weight="critical",
+        )
+
+
+RULE = Rule(
+    name="position_altered",
+    title="Position altered inside the autopilot",
+    stage="decision",
+    physics="A controller takes its position from the estimator, as it is. Where the two are metres apart, something "
+    "between them changes it: an attack on the autopilot's program, or a fault of it. The sensors agree with each "
+    "other all the while, and the estimator with them; the vehicle goes astray.",
+    evidence=f"{_APART_M} m between what the controller flies by and each lane of the estimator, for a second",
+    counter=(
+        "a reset of the estimator and a change of its lane reach the controller within a tenth of a second",
+        "a GPS that is led away takes the estimate along: then both agree, and this does not show",
+    ),
+    needs=("position_apart",),
+    plots=("position_apart", "position", "ratios"),
+    judge=_judge,
+)

@@ -1,0 +1,56 @@
+"""The vehicle turned over in flight while its motors were commanded to turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from replay.review.facts.log_facts import LogFacts, LogSignal
+from replay.review.findings.loss_of_control import stops, tilts_deg, tumbles
+from replay.review.findings.rule import Judgement, Rule
+
+_ON_PURPOSE = ("Acro", "ACRO", "FLIP", "RATTITUDE")
+_STAYED_S = 1.0
+"""Chosen: who is on its back so shortly before the flight ends did not fly on."""
+
+
+def _judge(facts: LogFacts, attitude: LogSignal, _: LogSignal) -> Iterator[Judgement]:
+    stopped = [start for start, _, _ in stops(facts)]
+    for start, end in tumbles(facts)[:1]:
+        if any(at < start for at in stopped):
+            return
+        modes = [
+            statement.text for statement in facts.statements if statement.kind == "mode" and statement.time_s <= start
+        ]
+        stayed = any(until > facts.flight[-1][1] - _STAYED_S for _, until in tumbles(facts))
+        meant = bool(modes) and any(word in modes[-1] for word in _ON_PURPOSE) and not stayed
+        most = tilts_deg(attitude.during(start, end + 0.1)).max()
+        yield Judgement(
+            start_s=start,
+            end_s=end,
+            text=f"the vehicle turned over: {most:.0f} degrees from level for {end - start:.1f} s",
+            evidence=(f"{attitude.origin}: beyond 100 degrees from level from {start:.2f} s on",),
+            counter=(
+                f"the mode was {modes[-1].removeprefix('mode ') if modes else 'not recorded'}"
+                + (", in which pilots turn over on purpose" if meant else ""),
+            ),
+            confidence="possible" if meant else "certain",
+            weight="information" if meant else "critical",
+        )
+
+
+RULE = Rule(
+    name="turned_over",
+    title="Turned over",
+    stage="motion",
+    physics="With a motor or a propeller gone, or with a wrong attitude, a multirotor tumbles within a second.",
+    evidence="100 degrees from level for 0.3 s in flight",
+    counter=(
+        "its motors had not been commanded to stop before",
+        "flips in acro modes, after which it flies on, are information alone",
+        "where an estimator errs there is no blow, no fall, and the accelerometer along the rotors does not hang",
+    ),
+    needs=("attitude", "motors"),
+    plots=("attitude", "motors", "height"),
+    judge=_judge,
+    multirotor=True,
+)

@@ -1,0 +1,65 @@
+"""Vibration was so strong that accelerometers cannot be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, LogSignal, spans_where
+from replay.review.findings.loss_of_control import in_control
+from replay.review.findings.rule import Judgement, Rule
+
+_ARDUPILOT, _PX4 = 60.0, 9.81
+"""m/s2. ArduPilot's documentation: above 60 problems with height are nearly certain (below 30 is normal); PX4's
+flight review draws its metric red from 9.81 on."""
+_SHARE = 0.2
+"""Chosen: over a fifth of the flight; single peaks are landings and touches."""
+_CLIPPED = 100
+"""ArduPilot's documentation: a steadily rising count of clipping, above 100 in a flight, is a problem."""
+
+
+def _judge(facts: LogFacts, vibration: LogSignal) -> Iterator[Judgement]:
+    limit = _ARDUPILOT if facts.autopilot == "ArduPilot" else _PX4
+    times = vibration.time_s
+    judged = in_control(facts, times)
+    high = judged & (vibration.only > limit)
+    clipped = _clipped(facts)
+    if not judged.any() or (high.sum() < _SHARE * judged.sum() and clipped < _CLIPPED):
+        return
+    most = float(np.max(vibration.only[judged]))
+    spans = spans_where(times, high) or [(float(times[judged][0]), float(times[judged][-1]))]
+    yield Judgement(
+        start_s=spans[0][0],
+        end_s=spans[-1][1],
+        text=f"strong vibration, up to {most:.0f} m/s2"
+        + (f", and {clipped:.0f} clipped samples of an accelerometer" if clipped else ""),
+        evidence=(
+            f"{vibration.origin}: above {limit:g} m/s2 in {100 * high.sum() / judged.sum():.0f} % of the flight",
+            *([f"{facts.signals['clipping'].origin}: {clipped:.0f} clipped samples in flight"] if clipped else []),
+        ),
+        weight="warning" if clipped >= _CLIPPED else "information",
+        event=False,
+    )
+
+
+def _clipped(facts: LogFacts) -> float:
+    clipping = facts.signals.get("clipping")
+    if clipping is None:
+        return 0.0
+    judged = clipping.only[in_control(facts, clipping.time_s)]
+    return float(judged[-1] - judged[0]) if len(judged) else 0.0
+
+
+RULE = Rule(
+    name="vibration",
+    title="Strong vibration",
+    stage="sensor",
+    physics="Vibration beyond an accelerometer's range is cut off on one side more than on the other: the estimator "
+    "sees an acceleration that is not there, in height first.",
+    evidence="the autopilot's own level beyond its documented limit in a fifth of the flight, or 100 clipped samples",
+    counter=("landings and what came after a fall are left out", "where little is clipped it is information alone"),
+    needs=("vibration",),
+    plots=("vibration", "clipping", "acceleration"),
+    judge=_judge,
+)
