@@ -11,6 +11,7 @@ import pytest
 from dataflash_writer import DataflashWriter
 from onboard_flights import messages_of
 
+from adapters.errors import TelemetryError
 from adapters.logs.damage import ScanStatistics, scan_damage
 from adapters.logs.dataflash import CODES, DataflashReader
 from adapters.message import Message
@@ -162,3 +163,14 @@ def test_old_logs_count_milliseconds_and_their_gps_the_time_of_week(tmp_path: Pa
     ]
     fixes = [m.received_ns for m in found if m.name == "GPS"]
     assert fixes == [(UNIX_S * 1_000 + 20 * n) * 1_000_000 for n in range(3, 100, 10)]
+
+
+def test_a_log_of_sdlog2_is_refused_in_one_line(tmp_path: Path) -> None:
+    log = DataflashWriter()
+    log.define("TIME", "Q", "StartTime")
+    log.define("ATT", "ffff", "qw,qx,qy,qz")
+    log.add("TIME", 5_000_000)
+    log.add("ATT", 1.0, 0.0, 0.0, 0.0)
+    with pytest.raises(TelemetryError, match="sdlog2") as refused:
+        read(tmp_path, bytes(log.data))
+    assert "\n" not in str(refused.value)

@@ -160,6 +160,10 @@ class DataflashReader(OnboardLogReader):
             made = self._format(fields["Name"], fields["Length"], fields["Format"], fields["Columns"])
         except ValueError:
             return False
+        if made.kind.name == "TIME" and made.columns == ("StartTime",):
+            raise TelemetryError(
+                f"{self._path}: a log of PX4's sdlog2 (.px4log), whose records have no time of their own; give a .ulg"
+            )
         number = fields["Type"]
         if number == _FORMAT_KIND:
             return made.length == form.length
