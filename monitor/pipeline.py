@@ -509,8 +509,12 @@ class Pipeline:
 
     def _silence(self, now_ns: int) -> list[AlarmEvent]:
         """Let time come to ``now_ns``, by a message or without one: live and replayed the same."""
+        # Between two flights a vehicle's own log pauses.
+        paused = self._phase.logged and not self._flies() and self._stale.due(now_ns)
+        if paused:
+            self._stale.pass_over(now_ns, self._clock.newest_ns)
         events = self._stale.silence(now_ns)
-        if self._stale.active:
+        if paused or self._stale.active:
             self._link.silent()
             self._blind.pause(now_ns)
         return events + self._blind.process(now_ns, self._clock.newest_ns, *self._flight())

@@ -127,7 +127,7 @@ def fit_profile(
     if capability:
         measured = tuple(_measured(observer, own.request, kind, own.gate) for observer in observers)
         stage("measured what will be detected")
-    report = FitReport(kind, measured, refused, _warnings(vehicle, surveys, observers))
+    report = FitReport(kind, measured, refused, _warnings(vehicle, surveys, observers, read.idle))
     content = profile_content(
         name, kind, own.gate, report, common_identity(flight.identity for flight in read.surveyed)
     )
@@ -167,6 +167,7 @@ class _ReadLogs(NamedTuple):
     names: Sequence[str]
     surveyed: Sequence[SurveyedLog]
     added: Sequence[tuple[str, Extent, BatchSource]]
+    idle: Sequence[str]  # names of those that were left out, as they show no flight
 
 
 def _read(
@@ -195,8 +196,16 @@ def _read(
         stage(f"read {log_name} ({number + 1} of {len(names)})")
     if not kind.needs_model:
         sources = [partial(_of_one_vehicle, log) for log in sources]
-    new = [(*flight, log) for flight, log in zip(added, sources[len(flights) :], strict=True)]
-    return _ReadLogs(sources, [Path(name).name for name in names], surveyed, new)
+    files = [Path(name).name for name in names]
+    idle = [number for number, flight in enumerate(surveyed) if flight.survey.idle]
+    flown = [number for number in range(len(files)) if number not in idle] or list(range(len(files)))
+    return _ReadLogs(
+        logs=[sources[number] for number in flown],
+        names=[files[number] for number in flown],
+        surveyed=[surveyed[number] for number in flown] if surveyed else (),
+        added=[(*added[at - len(flights)], sources[at]) for at in flown if at >= len(flights)],
+        idle=[files[number] for number in idle if number not in flown],
+    )
 
 
 class _OwnObserver(NamedTuple):
@@ -353,8 +362,10 @@ def replace_kept(path: Path, text: str) -> Path | None:
     return before
 
 
-def _warnings(kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
-    """Return which messages come too seldom, and what the sensors' own observer does not see of corrected ones."""
+def _warnings(
+    kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitted], idle: Sequence[str]
+) -> tuple[str, ...]:
+    """Return what shows no flight, comes too seldom, and what the sensors' own observer does not see of messages."""
     if not surveys:
         return ()
     own = (channel for fitted in observers if fitted.name == OBSERVER for channel in fitted.source.channels)
@@ -364,7 +375,8 @@ def _warnings(kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[
     onboard = all(found.onboard for found in surveys)
     commands_hz = slow.get(MOTOR_MESSAGE) if kind.name == "multirotor" else None
     said = slow_text(slow, kind.wanted_hz, onboard=onboard, commands_hz=commands_hz) if slow else None
-    return tuple(filter(None, (said, unseen)))
+    no_flight = f"left out, as no motor or servo moves as in flight while armed: {', '.join(idle)}" if idle else None
+    return tuple(filter(None, (no_flight, said, unseen)))
 
 
 def _measured(fitted: Fitted, request: FitRequest, kind: str, gate: GateRule) -> Fitted:

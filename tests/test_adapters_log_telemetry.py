@@ -191,8 +191,10 @@ def test_an_ardupilot_that_may_have_landed_is_landing_at_its_height_above_home()
     )
     found = run([*events[:2], height, events[2]], builtin_mapping("dataflash"), ("EXTENDED_SYS_STATE",))
     assert [m.fields["landed_state"] for m in found] == [2, 4, 1]
-    found = run([height], builtin_mapping("dataflash"), ("GLOBAL_POSITION_INT",))
-    assert [m.fields["relative_alt"] for m in found] == [50.0]
+    old = Message(DATAFLASH, "CTUN", 75 * MS, {"TimeUS": 75_000, "BarAlt": 0.05})
+    for said in (height, old):
+        found = run([said], builtin_mapping("dataflash"), ("GLOBAL_POSITION_INT",))
+        assert [m.fields["relative_alt"] for m in found] == [50.0]
 
 
 def test_from_the_first_contact_with_the_ground_px4_is_landing() -> None:

@@ -13,7 +13,7 @@ from test_monitor_recorder import Log
 from adapters.batch import pack
 from adapters.logs.recordings import packed, read_recording
 from adapters.message import Message, silence
-from adapters.source import CLOCK, JOURNAL, LINK, MAVLINK, OPERATOR
+from adapters.source import CLOCK, DATAFLASH, JOURNAL, LINK, MAVLINK, OPERATOR
 from monitor.alarms.desk import DeskRule
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
@@ -202,6 +202,19 @@ def test_a_gap_restarts_the_observer_without_a_false_alarm(quad_profile: Profile
     assert restarts == 3
     stale = [output for output in found if isinstance(output, AlarmEvent)]
     assert [(event.channel, event.state) for event in stale] == [("telemetry", "raised"), ("telemetry", "cleared")]
+
+
+def test_a_vehicles_own_log_may_pause_on_the_ground(quad_profile: Profile, data: Path) -> None:
+    flight = list(read_recording(data / "copter_wind_step.tlog.xz"))
+    start = flight[0].received_ns
+    states = (m for m in flight if m.name == "EXTENDED_SYS_STATE")
+    landed = next(m for m in states if m.received_ns - start > 5e9)
+    ground = dataclasses.replace(landed, fields={**landed.fields, "landed_state": 1})
+    cut = [m for m in flight if not landed.received_ns <= m.received_ns < landed.received_ns + 3_100_000_000]
+    cut = sorted([*cut, ground], key=lambda message: message.received_ns)
+    own = Message(DATAFLASH, "PARM", start, {"Name": "FRAME_CLASS", "Value": 1.0})
+    for session, said in ((cut, 2), ([own, *cut], 0)):
+        assert [event.channel for event in events(quad_profile, session)].count("telemetry") == said
 
 
 def test_silence_live_and_a_gap_replayed_give_the_same_events(quad_profile: Profile, data: Path) -> None:

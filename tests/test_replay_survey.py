@@ -48,8 +48,11 @@ def moving(low: int, high: int, phase: int = 0, count: int = 500) -> list[int]:
 
 
 def test_pulses_that_move_are_motors_of_1000_to_2000_microseconds() -> None:
-    found = outputs_over_time({n: moving(1300, 1700, n) for n in (1, 2, 3, 4)} | {5: [1000] * 500, 6: [0] * 500})
+    switched = {5: [1000] * 500, 6: [0] * 500, 7: [1100] * 200 + [1900] * 300}
+    found = outputs_over_time({n: moving(1300, 1700, n) for n in (1, 2, 3, 4)} | switched)
     assert motor_commands([found]) == CommandRange((1, 2, 3, 4), 1000.0, 2000.0)
+    assert not found.idle
+    assert outputs_over_time(switched).idle
 
 
 @pytest.mark.parametrize(

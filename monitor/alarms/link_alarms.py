@@ -254,11 +254,15 @@ class StaleAlarm:
         self.pass_over(received_ns, vehicle_ns)
         return events
 
+    def due(self, now_ns: int) -> bool:
+        """Return whether the silence has been long enough at Unix time ``now_ns``, and is not said yet."""
+        return self.carried_ns is not None and now_ns - self.carried_ns >= self.limit_ns
+
     def silence(self, now_ns: int) -> list[AlarmEvent]:
         """Let Unix time come to ``now_ns``; return the event of telemetry going stale, once."""
         if self._carried_ns is not None and self._carried_ns - now_ns >= SET_BACK_NS:
             self._carried_ns = now_ns
-        if self._since_ns is not None or self._carried_ns is None or now_ns - self._carried_ns < self.limit_ns:
+        if self._carried_ns is None or not self.due(now_ns):
             return []
         self._since_ns = self._carried_ns + self.limit_ns
         return [

@@ -127,6 +127,11 @@ class Survey:
     px4: bool = False  # the autopilot is PX4
     onboard: bool = False  # it is an onboard log, or was converted from one
 
+    @property
+    def idle(self) -> bool:
+        """Whether the vehicle was never armed, or none of its outputs took as many values as a motor in flight does."""
+        return self.never_armed or (bool(self.outputs) and not any(output.many for output in self.outputs.values()))
+
 
 def survey(batches: Iterable[Batch]) -> Survey:
     """Go through a recording once."""

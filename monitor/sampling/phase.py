@@ -115,7 +115,8 @@ class FlightPhase:
     Of another vehicle than the one that the profile was ``fitted`` to no samples are evidence. ``reports`` are what the
     vehicle has said of itself; ``contradiction`` says that it is another, None where nothing does; ``contested`` names
     the messages that two senders answer by turns. It is ``driven`` where it is taken to fly although it reports that it
-    does not, for its commands are those of flight. ``interests`` names the messages it reads.
+    does not, for its commands are those of flight; ``logged`` where the reports are those of its own log. ``interests``
+    names the messages it reads.
     """
 
     interests: ClassVar[frozenset[str]] = Reports.interests | {"EXTENDED_SYS_STATE", "GLOBAL_POSITION_INT"}
@@ -125,13 +126,13 @@ class FlightPhase:
         self._landed: Landed | None = None
         self._has_been = (False, False)  # armed, in the air
         self.driven = False
+        self.logged = False
         self.reports = Reports()
         self.contradiction: str | None = None
         self.contested: tuple[str, ...] = ()
         self._fitted = fitted
         self._beats = Said()
         self._landings = Said()
-        self._logged = False  # whether the reports are those of the vehicle's own log
         self._high_ns: int | None = None  # when it was last reported to be high; None where it is low or unknown
         # when it was reported to be at about the height of its home, by all reports of the last second; None where not
         self._low_ns: int | None = None
@@ -180,7 +181,7 @@ class FlightPhase:
         if message.name not in self.interests:
             return
         now_ns = message.received_ns
-        self._logged |= message.source.is_onboard_log
+        self.logged |= message.source.is_onboard_log
         if message.name == "GLOBAL_POSITION_INT":
             height = message.fields.get("relative_alt")
             above_mm = height if message.source is MAVLINK and isinstance(height, int | float) else nan
@@ -196,7 +197,7 @@ class FlightPhase:
             said = message.fields
             mode = said.get("base_mode")
             armed = bool(mode & ARMED) if isinstance(mode, int) else None
-            if not self._logged:
+            if not self.logged:
                 self._beats = self._beats.after(now_ns, (armed, said.get("type"), said.get("autopilot")))
         self._identify(message)
         if message.source is not MAVLINK:
@@ -204,7 +205,7 @@ class FlightPhase:
         if message.name == "EXTENDED_SYS_STATE":
             state = message.fields.get("landed_state")
             self._landed = _LANDED.get(state) if isinstance(state, int) else None
-            if not self._logged:
+            if not self.logged:
                 self._landings = self._landings.after(now_ns, self._landed)
             if self._high_ns is not None and not 0 <= now_ns - self._high_ns < _RECENT_NS:
                 self._high_ns = None

@@ -32,8 +32,6 @@ MESSAGES = (
     | {"ESC_STATUS", *ESC_MESSAGES, "VIBRATION", BATTERY_MESSAGE, CELLS_MESSAGE}
 )
 
-_STILL_US = 0.5
-"""An output whose standard deviation is less than half a microsecond, the unit of its messages, does not move."""
 _IDLE_US = 1050.0
 """Chosen: an output whose mean is not above 5 % of the range lifts no vehicle."""
 _FEW_OUTSIDE = 0.01
@@ -225,7 +223,7 @@ def _in_every_log(surveys: Sequence[Survey], moves: Callable[[MotorOutput], bool
 
 
 def _moves_as_pulse(output: MotorOutput) -> bool:
-    return output.mean > _IDLE_US and output.spread > _STILL_US
+    return output.many and output.mean > _IDLE_US
 
 
 def _extremes(surveys: Sequence[Survey], numbers: Sequence[int]) -> tuple[int, int]:
