@@ -208,6 +208,24 @@ def test_a_compass_agrees_with_the_gyros_after_a_flip_about_any_axis() -> None:
         assert disagreement(*truth.transformed(raw))["heading"] < 0.05
 
 
+def test_a_compass_agrees_with_gyros_that_are_late_after_fast_turns_to_both_sides() -> None:
+    t, late_s = np.arange(2000) / truth.SIGNAL_HZ, 0.05
+    rate = np.where((t > 5.0) & (t < 15.0), 6.0 * np.sign(np.sin(2.0 * t)) + 1.0, 0.0)
+    yaw = np.cumsum(rate) / truth.SIGNAL_HZ
+    raw = np.zeros((len(t), 18))
+    raw[:, 2], raw[:, 5], raw[:, 8], raw[:, 9:11] = -9.8, np.interp(t - late_s, t, rate), yaw, truth.HOME
+    # ten fields a second, each read on the line to the next one once
+    held = np.interp(np.floor(10.0 * t + 1e-6) / 10.0, t, yaw)
+    raw[:, 15:18] = np.column_stack([0.21 * np.cos(held), -0.21 * np.sin(held), np.full(len(t), 0.43)])
+    changed = np.flatnonzero(np.diff(raw[:, 15]))
+    raw[changed, 15:18] = 0.5 * (raw[changed, 15:18] + raw[changed + 1, 15:18])
+    transform, samples = truth.transformed(raw, {"compass_hold_s": 0.3})
+    heading = transform.outputs.index("heading")
+    u, y = np.array([s.u for s in samples]), np.array([s.y for s in samples])
+    off = y[:, heading] - washed(u[:, transform.inputs.index("heading_rate")], 30.0)
+    assert abs(off[-1]) < 0.05
+
+
 def test_a_gyro_bias_is_a_growing_disagreement_of_its_own_axis() -> None:
     raw = truth.signals(10.0)
     raw[500:, 4] += 0.1

@@ -15,7 +15,7 @@ cdef inline double wrapped(double angle) noexcept:
 
 
 cdef enum:
-    STATES = 12
+    STATES = 13
     HYPOTHESES = 10
     ONSETS = 30
 
@@ -56,13 +56,14 @@ cdef class Navigation:
     cdef int[3] _held
     # The magnetic field: its measurement, where it points from north, what is taken for its declination and for its
     # strength, for how long it has been so again after it jumped, and how errors of the attitude about north and east
-    # turn it; the largest rate of late.
+    # and a delay turn it; how late it is against the gyros, as fitted and as found; the largest rate of late.
     cdef double _field_delay_s, _field_timing_s, _field_noise, _field_walk, _direction, _declined, _strength
-    cdef double _back_s, _whirl
+    cdef double _back_s, _field_late_s, _whirl
     # whether a gyro was at fault, whose bias an estimator may have learned
     cdef bint _learned
     cdef double[3] _field
     cdef double[2] _tilting
+    cdef double _turning
     cdef bint _pointed, _aimed
     cdef double[2] _sharp
     cdef double[3] _missed

@@ -14,8 +14,10 @@ than fitted does the same, and is followed there.
 
 The field R m lies h west of north, by the declination and by what the vehicle itself adds, a random walk as well. An
 error of the attitude turns it by d_down - (m_down / m_horizontal^2) (m_north d_north + m_east d_east). A gyro z that is
-wrong turns it steadily, a magnetometer that is wrong at once. The autopilot's heading follows both and is no witness:
-where no magnetic field is measured it keeps R from drifting, and gyro z is not judged.
+wrong turns it steadily, a magnetometer that is wrong at once. By how much it is later than these gyros is a constant
+(the fitted delay is that against the autopilot's attitude, too, which is not as late as they are) that shows as the
+vehicle turns. The autopilot's heading follows both and is no witness: where no magnetic field is measured it keeps R
+from drifting, and gyro z is not judged.
 
 A fault of size theta since t_0 adds theta s(t; t_0) to the innovations, where the signature s is known from the
 filter's own gains (Willsky and Jones 1976): a bias of a gyro tilts the attitude and bends the velocity away by the
@@ -53,8 +55,8 @@ cdef double _GRAVITY = STANDARD_GRAVITY
 # Errors at the start: of an attitude that an autopilot has, about the horizontal axes and of its heading, rad; of the
 # velocity, m/s; of gyros (a degree per second is 0.017) and accelerometers as autopilots have calibrated them; how far
 # the magnetic field is from where it was first seen, rad, thrice what one measurement of a noisy one may be off; how
-# late the gyros are, s: half of what an autopilot's filters of 4 and 10 Hz make.
-cdef double[STATES] _START = [0.02, 0.02, 0.1, 0.1, 0.1, 0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.02]
+# late the gyros are, s: half of what an autopilot's filters of 4 and 10 Hz make. (How late the field is has its own.)
+cdef double[12] _START = [0.02, 0.02, 0.1, 0.1, 0.1, 0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.02]
 # Random walks per root of a second: of attitude and velocity, the least that vibration and the straight lines between
 # samples leave; of the biases, what warms up by 0.01 rad/s and by half a metre per second squared within some hours.
 cdef double[4] _WALK = [1e-3, 0.05, 1e-4, 5e-3]
@@ -129,6 +131,7 @@ cdef enum:
     _BA = 8
     _H = 10
     _LATE = 11
+    _FIELD_LATE = 12
     _JUMP = 5
     _TURN = 7
     _RAMP = 8
@@ -188,7 +191,7 @@ cdef class Navigation:
         memset(self._F, 0, sizeof(self._F))
         for i in range(STATES):
             self._F[i][i] = 1.0
-            self._P[i][i] = _START[i] ** 2
+            self._P[i][i] = (_START[i] if i < _FIELD_LATE else self._field_timing_s) ** 2
         memset(self._bias, 0, sizeof(self._bias))
         memset(self._faulty, 0, sizeof(self._faulty))
         memset(self._offset, 0, sizeof(self._offset))
@@ -201,6 +204,7 @@ cdef class Navigation:
         memset(self._field, 0, sizeof(self._field))
         memset(self._tilting, 0, sizeof(self._tilting))
         self._declined = self._back_s = self._whirl = self._late_s = 0.0
+        self._field_late_s = self._field_delay_s
         self._pointed = self._aimed = False
         self._ticks = self._count = self._helpless = 0
         self._turned = False
@@ -314,28 +318,35 @@ cdef class Navigation:
 
     cdef void point(self, const double* field, const double* R) noexcept:
         """Follow where the magnetic field points by the attitude of this tick, or without one the heading R."""
+        cdef double[9] then
         cdef double[3] north
-        cdef double late = self._field_delay_s, square
-        cdef int i, j, k
+        cdef double[3] turned
+        cdef double[3] rate
+        cdef double square
+        cdef int i, j
         if self._field_noise == 0.0:
             self._direction, self._pointed = wrapped(atan2(R[3], R[0]) - atan2(self._R[3], self._R[0])), True
             return
         if memcmp(field, self._field, sizeof(self._field)) == 0:
             return
         memcpy(self._field, field, sizeof(self._field))
-        memset(north, 0, sizeof(north))
-        for j in range(3):
-            # what the body turned since it was measured
-            i, k = (j + 1) % 3, (j + 2) % 3
-            square = field[j] - late * (
-                (self._rate[i] - self._bias[i]) * field[k] - (self._rate[k] - self._bias[k]) * field[i]
-            )
-            for i in range(3):
-                north[i] += self._R[3 * i + j] * square
+        # the attitude at which it was measured, by what the body turned since
+        for i in range(3):
+            rate[i] = self._rate[i] - self._bias[i]
+            north[i] = -self._field_late_s * rate[i]
+        _turned(self._R, north, then)
+        for i in range(3):
+            north[i] = turned[i] = 0.0
+            for j in range(3):
+                north[i] += then[3 * i + j] * field[j]
+                turned[i] += then[3 * i + j] * (
+                    rate[(j + 1) % 3] * field[(j + 2) % 3] - rate[(j + 2) % 3] * field[(j + 1) % 3]
+                )
         square = north[0] * north[0] + north[1] * north[1]
         if square > 0.0:
             self._direction, self._pointed = -atan2(north[1], north[0]), True
             self._tilting[0], self._tilting[1] = -north[2] * north[0] / square, -north[2] * north[1] / square
+            self._turning = (north[1] * turned[0] - north[0] * turned[1]) / square
 
     cdef void advance(self, double* m, int apart, const double* f) noexcept:
         """Multiply a column of a matrix from the left with the tick's transition, or a row with its transpose."""
@@ -400,11 +411,15 @@ cdef class Navigation:
                     innovation[2], variance[2] = self._direction, _HEADING_NOISE * _HEADING_NOISE
         elif self._pointed and self.believed():
             off = wrapped(self._direction - self._declined)
-            spread = self._field_noise * self._field_noise + (self._field_timing_s * self._whirl) ** 2
-            if not self.steps(2, off, spread + self._P[2][2] + 2.0 * self._P[2][_H] + self._P[_H][_H], _FIELD_LEAST):
-                innovation[2], variance[2] = off, spread
-            elif self._held[2] == _STEPS:
-                self.strayed, self._back_s = True, 0.0
+            variance[2] = self._field_noise * self._field_noise + (_FIELD_TIMING_S * self._whirl) ** 2
+            spread = variance[2] + self._P[2][2] + 2.0 * self._P[2][_H] + self._P[_H][_H]
+            spread += self._turning * self._turning * self._P[_FIELD_LATE][_FIELD_LATE]
+            if not self.steps(2, off, spread, _FIELD_LEAST):
+                innovation[2] = off
+            else:
+                variance[2] = INFINITY
+                if self._held[2] == _STEPS:
+                    self.strayed, self._back_s = True, 0.0
         self._pointed = False
         self._whirl *= _PEAK_KEPT
         self.update(innovation, variance)
@@ -520,7 +535,7 @@ cdef class Navigation:
                 nu -= H[i] * x[i]
             for i in range(STATES):
                 # The field corrects the heading alone: its error of a degree would tilt the attitude by half of that.
-                gain[i] = of_state[i] / S if m < 2 or i == 2 or i == _BG + 2 or i == _H else 0.0
+                gain[i] = of_state[i] / S if m < 2 or i == 2 or i == _BG + 2 or i in (_H, _FIELD_LATE) else 0.0
             for k in range(n):
                 signature = &self._signatures[k]
                 for h in range(HYPOTHESES):
@@ -545,7 +560,8 @@ cdef class Navigation:
         """Fill in how far each error of the state turns the field's direction."""
         memset(H, 0, STATES * sizeof(double))
         H[0], H[1], H[2] = self._tilting[0], self._tilting[1], 1.0
-        H[_H] = 1.0 if self._field_noise > 0.0 else 0.0
+        if self._field_noise > 0.0:
+            H[_H], H[_FIELD_LATE] = 1.0, self._turning
 
     cdef void correct(self, const double* x) noexcept:
         """Put an error of the state into the state."""
@@ -569,6 +585,7 @@ cdef class Navigation:
             self._bias[i] += x[_BG + i]
         self._declined += x[_H]
         self._late_s += x[_LATE]
+        self._field_late_s += x[_FIELD_LATE]
 
     cdef void judge(self) noexcept:
         """Believe the fault that is by far the likeliest, or that one has ended."""

@@ -34,6 +34,9 @@ cdef double _LONGEST_S = 1.5
 # off do. Measured on four healthy flights: after 1 to 2.5 s the way is 0.05 to 0.16 m off (root of the mean square).
 cdef double _UNSEEN_ACCELERATION = 0.3
 cdef double _UNSEEN_RATE = 0.02
+# How fast the magnetic field turns about the vertical from which on it is not compared, rad/s: half of the step of the
+# delays that a fit tries, 0.02 s, then makes half of the smallest fault of a compass that is worth an alarm, 0.09 rad.
+cdef double _WHIRLING = 4.5
 # Random walk of the vertical velocity while its acceleration is measured and while it is not, m/s per root of a second.
 # The former is that of the navigation. Chosen: the latter is twice what it was at most on four healthy flights, over
 # 0.1 to 1 s (0.04 to 0.42), as others are flown more briskly.
@@ -281,6 +284,8 @@ cdef class StrapdownCore:
     # The rotation from the navigation's attitude to the autopilot's, north, east, down.
     cdef double[9] _apart
     cdef int _resets
+    # Whether one of these moved the vertical, and whether no field has been compared since one was not.
+    cdef bint _tipped, _unread
     # The newest fix and magnetic field, for how many ticks each has been the same, those between the last two fields,
     # and the speed.
     cdef double[5] _fix
@@ -335,7 +340,7 @@ cdef class StrapdownCore:
         self._motion = _Delay.__new__(_Delay, imu_ticks, 4)
         self._fixes = _Delay.__new__(_Delay, gps_ticks, 6)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
-        self._levels = _Delay.__new__(_Delay, compass_ticks, 7)
+        self._levels = _Delay.__new__(_Delay, compass_ticks, 8)
         self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 19)
         self._vertical = _Vertical(dt)
         self._attitude_share, self._angle_s = attitude_share, angles_s
@@ -369,6 +374,7 @@ cdef class StrapdownCore:
         memset(self._apart, 0, sizeof(self._apart))
         self._apart[0] = self._apart[4] = self._apart[8] = 1.0
         self._resets = self._summed = self._stills = self._loose = 0
+        self._tipped = self._unread = False
         self._fix_age = self._field_age = self._field_step = 0
         self._still = self._blind = self._unstuck = False
         memset(self._doubt, 0, sizeof(self._doubt))
@@ -578,11 +584,14 @@ cdef class StrapdownCore:
         values[4] = _heading_rate(before, self._dt, mean[0], mean[1] - biased, mean[2])
         values[5] = still
         # Between two measurements on either side of the vertical a straight line of roll, pitch and yaw is no attitude.
-        values[6] = self._resets > 0 or is_steep(values[2])
+        values[6] = self._tipped or is_steep(values[2])
+        values[7] = values[6] != 0.0 or (
+            self._mag and fabs(_field_rate(R, rate, sensors + self._gps * (3 + self._speeds) + self._baro)) > _WHIRLING
+        )
         level = self._levels.push(values)
         # Acceleration north, east and down: R f + g.
         for axis in range(3):
-            values[axis] = R[3 * axis] * signals[0] + R[3 * axis + 1] * signals[1] + R[3 * axis + 2] * signals[2]
+            values[axis] = _along(R, signals, axis)
         values[2], values[3] = values[2] + _GRAVITY, lacks[_IMU]
         motion = self._motion.push(values)
         if self._navigation is not None:
@@ -609,9 +618,7 @@ cdef class StrapdownCore:
                 values[3], values[4] = sensors[3] * cos(course), sensors[3] * sin(course)
             elif self._speeds == 3:
                 for axis in range(2):
-                    values[3 + axis] = (
-                        R[3 * axis] * sensors[3] + R[3 * axis + 1] * sensors[4] + R[3 * axis + 2] * sensors[5]
-                    )
+                    values[3 + axis] = _along(R, sensors + 3, axis)
             values[5] = lacks[_GPS]
             fix = self._fixes.push(values)
             full = full and fix != NULL
@@ -651,8 +658,8 @@ cdef class StrapdownCore:
             u[i + axis], y[k + axis] = rate[axis], self._turned[axis]
         if self._mag:
             u[i + 3] = level[4]
-            steep = level[6] != 0.0
-            if steep:
+            steep = level[7] != 0.0
+            if level[6] != 0.0:
                 # What the compass would have shown meanwhile nothing tells.
                 self._unknown[_MAG] = True
             self.follow_field(level, sensors, steep)
@@ -672,7 +679,7 @@ cdef class StrapdownCore:
             motion[3] != 0.0,
             self._gps and fix[5] != 0.0,
             self._baro and altitude[1] != 0.0,
-            self._mag and (steep or (lacks[_MAG] and not still and level[5] == 0.0)),
+            self._mag and (self._unread or (lacks[_MAG] and not still and level[5] == 0.0)),
             y,
             meant,
         )
@@ -759,8 +766,12 @@ cdef class StrapdownCore:
             hold = _HELD_STEPS * self._field_step
         self._field_age = min(self._field_age + 1, _LONGEST_STEP) if same else 0
         memcpy(self._field, field, sizeof(self._field))
-        if not steep and (not same or self._field_age >= hold):
+        if steep:
+            self._unread = True
+        elif self._field_age >= hold or (self._field_age == 1 if self._unread else not same):
+            # the first one back is read whole: one between two samples changes both of them
             self._heading = self._heading + wrapped(_magnetic_heading(level, field) - self._heading)
+            self._unread = False
 
     cdef void reckon(self, bint imu, bint gps, bint baro, bint mag, double* y, double* meant) noexcept:
         """Let what lacks since the tick before follow what is there.
@@ -900,8 +911,9 @@ cdef class StrapdownCore:
         Fills in how fast it turned. Where the gyro's measurements lack it was not reset.
         """
         cdef double[3] angles
-        cdef double step, apart, largest = 0.0
-        cdef bint biased = False, misled = False
+        cdef double[3] apart
+        cdef double step, largest = 0.0
+        cdef bint biased = False, misled = False, tipped
         cdef int axis
         if self._navigation is not None:
             # an attitude follows the compass, too
@@ -920,10 +932,11 @@ cdef class StrapdownCore:
         if self._turning:
             _small_rotation(self._attitude, R, angles)
             for axis in range(3):
-                apart = fabs(angles[axis] - rate[axis] * self._dt)
-                if axis == 0 or apart > largest:
-                    largest = apart
+                apart[axis] = angles[axis] - rate[axis] * self._dt
+                largest = max(largest, fabs(apart[axis]))
             self._resets = self._resets + 1 if largest > _RESET_RATE * self._dt and not still else 0
+            tipped = hypot(_along(R, apart, 0), _along(R, apart, 1)) > _RESET_RATE * self._dt
+            self._tipped = self._resets > 0 and (tipped or self._tipped)
             for axis in range(3):
                 turning[axis] = angles[axis] / self._dt
                 step = rate[axis] * self._dt if 0 < self._resets <= _RESET_TICKS else angles[axis]
@@ -972,6 +985,11 @@ cdef inline void _rotation(const double* level, double cy, double sy, double* R)
     R[6], R[7], R[8] = -sp, sr * cp, cr * cp
 
 
+cdef inline double _along(const double* R, const double* v, int axis) noexcept:
+    """Return how far a vector of the body points north, east or down."""
+    return R[3 * axis] * v[0] + R[3 * axis + 1] * v[1] + R[3 * axis + 2] * v[2]
+
+
 cdef inline double _product(const double* before, const double* after, int i, int j) noexcept:
     """Return an element of R(before)' R(after)."""
     return 0.0 + before[i] * after[j] + before[3 + i] * after[3 + j] + before[6 + i] * after[6 + j]
@@ -1011,6 +1029,16 @@ cdef inline double _magnetic_heading(const double* level, const double* field) n
     cdef double across = field[1] * level[0] - field[2] * level[1]
     cdef double along = field[0] * level[2] + (field[1] * level[1] + field[2] * level[0]) * level[3]
     return atan2(-across, along)
+
+
+cdef double _field_rate(const double* R, const double* rate, const double* field) noexcept:
+    """Return how fast a field that is late, measured in body axes, turns about the vertical as the body turns."""
+    cdef double[3] turned
+    cdef double north = _along(R, field, 0), east = _along(R, field, 1)
+    cdef int j
+    for j in range(3):
+        turned[j] = rate[(j + 1) % 3] * field[(j + 2) % 3] - rate[(j + 2) % 3] * field[(j + 1) % 3]
+    return (east * _along(R, turned, 0) - north * _along(R, turned, 1)) / (north * north + east * east)
 
 
 cdef void _metres_per_degree(double latitude, double* lengths) noexcept:
