@@ -58,7 +58,7 @@ cdef class Navigation:
     # strength, for how long it has been so again after it jumped, and how errors of the attitude about north and east
     # and a delay turn it; how late it is against the gyros, as fitted and as found; the largest rate of late.
     cdef double _field_delay_s, _field_timing_s, _field_noise, _field_walk, _direction, _declined, _strength
-    cdef double _back_s, _field_late_s, _whirl
+    cdef double _back_s, _back_off, _field_late_s, _whirl
     # whether a gyro was at fault, whose bias an estimator may have learned
     cdef bint _learned
     cdef double[3] _field
@@ -94,6 +94,7 @@ cdef class Navigation:
     cdef void point(self, const double* field, const double* R) noexcept
     cdef void meet(self, const double* velocity) noexcept
     cdef bint believed(self) noexcept
+    cdef double field_spread(self) noexcept
     cdef bint steps(self, int m, double off, double variance, double least) noexcept
     cdef void put_off(self, int m, double size) noexcept
     cdef double fault(self, int which) noexcept

@@ -81,9 +81,11 @@ cdef double _SPEED_LEAST = 1.0
 cdef double _OUTLIER = 5.0
 # Share of each measurement in its usual strength: forgotten in 40 s. One that is off by as large a share tells nothing.
 cdef double _STRENGTH_SHARE = 0.005
-# For how long it has to point as before, and to be as strong, to be a witness again, seconds. Chosen: a vehicle that
-# turns with a field of its own passes the true heading within less.
+# For how long it has to point as before, and to be as strong, to be a witness again, seconds, and by how much it may
+# turn otherwise than the gyros meanwhile, rad. Chosen: a vehicle that turns with a field of its own passes the true
+# heading twice in each turn, within less time or by more; after a gyro's fault it is the attitude that still moves.
 cdef double _BACK_S = 2.0
+cdef double _BACK_LEAST = 0.5 * _FIELD_LEAST
 # Share of the accelerations' peak that is left a step later. Chosen: .8 of .2 s forgets a hard stop within a second.
 cdef double _PEAK_KEPT = 0.8
 # What lies between two samples is their mean, give or take a quarter of their difference: the variance of that.
@@ -203,7 +205,7 @@ cdef class Navigation:
         memset(self._missed, 0, sizeof(self._missed))
         memset(self._field, 0, sizeof(self._field))
         memset(self._tilting, 0, sizeof(self._tilting))
-        self._declined = self._back_s = self._whirl = self._late_s = 0.0
+        self._declined = self._back_s = self._back_off = self._whirl = self._late_s = 0.0
         self._field_late_s = self._field_delay_s
         self._pointed = self._aimed = False
         self._ticks = self._count = self._helpless = 0
@@ -371,7 +373,7 @@ cdef class Navigation:
         cdef double[3] innovation
         cdef double[3] variance
         cdef Signature* newest
-        cdef double off, spread
+        cdef double off
         cdef bint steps = False
         cdef int i, h
         if self._ticks == 0:
@@ -412,9 +414,7 @@ cdef class Navigation:
         elif self._pointed and self.believed():
             off = wrapped(self._direction - self._declined)
             variance[2] = self._field_noise * self._field_noise + (_FIELD_TIMING_S * self._whirl) ** 2
-            spread = variance[2] + self._P[2][2] + 2.0 * self._P[2][_H] + self._P[_H][_H]
-            spread += self._turning * self._turning * self._P[_FIELD_LATE][_FIELD_LATE]
-            if not self.steps(2, off, spread, _FIELD_LEAST):
+            if not self.steps(2, off, variance[2] + self.field_spread(), _FIELD_LEAST):
                 innovation[2] = off
             else:
                 variance[2] = INFINITY
@@ -430,17 +430,29 @@ cdef class Navigation:
     cdef bint believed(self) noexcept:
         """Return whether the magnetic field tells the heading, and not that a compass is at fault."""
         cdef double strength = sqrt(self._field[0] ** 2 + self._field[1] ** 2 + self._field[2] ** 2)
-        cdef double off, turned
+        cdef double turned = wrapped(self._direction - self._declined), off
         if not self._aimed:
             self._aimed, self._declined, self._strength = True, self._direction, strength
         off = fabs(strength / self._strength - 1.0)
         if self.strayed:
-            turned = fabs(wrapped(self._direction - self._declined)) - 3.0 * sqrt(self._P[2][2] + self._P[_H][_H])
-            self._back_s = self._back_s + self._every * self._dt if fmax(off, turned) < _FIELD_LEAST else 0.0
+            if (
+                fmax(off, fabs(turned) - 3.0 * sqrt(self.field_spread())) > _FIELD_LEAST
+                or (fabs(turned - self._back_off) > _BACK_LEAST and not self._learned)
+            ):
+                self._back_s, self._back_off = 0.0, turned
+            else:
+                self._back_s += self._every * self._dt
             self.strayed = self._back_s < _BACK_S
         else:
             self._strength += _STRENGTH_SHARE * (strength - self._strength)
         return not self.strayed and off < _FIELD_LEAST
+
+    cdef double field_spread(self) noexcept:
+        """Return the variance of the field's direction by heading, declination and delay."""
+        return (
+            self._P[2][2] + 2.0 * self._P[2][_H] + self._P[_H][_H]
+            + self._turning * self._turning * self._P[_FIELD_LATE][_FIELD_LATE]
+        )
 
     cdef bint steps(self, int m, double off, double variance, double least) noexcept:
         """Return whether a measurement that is so far off may have stepped; the next two tell a step from a turn."""
