@@ -7,6 +7,7 @@ import pytest
 from gains_samples import hexacopter, integrator_with_drift
 
 from adapters.errors import InfeasibleError
+from gains.analysis.estimability import estimability
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Fault
 from gains.synthesis.bank import admissible_hypotheses, design_bank
@@ -22,9 +23,8 @@ def test_every_single_motor_of_the_hexacopter_is_a_hypothesis_with_a_certified_o
         assert certify(plant, design).holds
 
 
-def test_the_largest_sets_are_hypotheses_on_request() -> None:
-    assert len(admissible_hypotheses(hexacopter(), largest=True)) == 12
-    assert admissible_hypotheses(builtin_model("arm"), largest=True) == (("motor", "encoder"),)
+def test_six_motors_have_twelve_largest_sets_that_can_be_estimated_together() -> None:
+    assert len(estimability(hexacopter()).sets) == 12
 
 
 def test_a_continuous_plant_is_sampled() -> None:

@@ -57,9 +57,7 @@ class ResidualStatistics:
         return f"{text}; {'near' if abs(self.excess_kurtosis) < 1.0 else 'not far from'} normal"
 
 
-def residual_statistics(
-    names: Sequence[str], segments: Sequence[FloatArray], lags: int = LAGS
-) -> tuple[ResidualStatistics, ...]:
+def residual_statistics(names: Sequence[str], segments: Sequence[FloatArray]) -> tuple[ResidualStatistics, ...]:
     """Return the statistics of each output's residual.
 
     Each segment (N_i, p) is without a break, and correlations are taken within it, at fewer lags where it is short.
@@ -70,7 +68,7 @@ def residual_statistics(
     joined = np.concatenate(segments)
     joined = joined - joined.mean(axis=0)
     centred = np.split(joined, np.cumsum([len(segment) for segment in segments])[:-1])
-    lags = max(1, min(lags, min(len(segment) for segment in segments) - 2))
+    lags = max(1, min(LAGS, min(len(segment) for segment in segments) - 2))
     power = np.maximum((joined**2).sum(axis=0), 1e-300)
     rho, pairs = np.empty((lags, len(names))), np.empty(lags)
     for lag in range(1, lags + 1):

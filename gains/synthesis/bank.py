@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from adapters.errors import InfeasibleError
-from gains.analysis.estimability import estimability, problem_of, restricted
+from gains.analysis.estimability import problem_of, restricted
 from gains.plants.model_file import model_hash
 from gains.plants.plant import Plant
 from gains.synthesis.design import Design
@@ -27,18 +27,15 @@ class Hypothesis(NamedTuple):
     design: Design
 
 
-def admissible_hypotheses(plant: Plant, *, largest: bool = False) -> tuple[tuple[str, ...], ...]:
-    """Return the sets of faults to make observers for: every single one that can be estimated, or the largest sets.
+def admissible_hypotheses(plant: Plant) -> tuple[tuple[str, ...], ...]:
+    """Return the sets of faults to make observers for: every single one that can be estimated.
 
     Raises
     ------
     InfeasibleError
         No fault can be estimated even by itself, or too many slopes vary.
     """
-    if largest:
-        hypotheses = estimability(plant).sets
-    else:
-        hypotheses = tuple((fault.name,) for fault in plant.faults if problem_of(plant, (fault.name,)) is None)
+    hypotheses = tuple((fault.name,) for fault in plant.faults if problem_of(plant, (fault.name,)) is None)
     if not hypotheses:
         raise InfeasibleError(
             f"{plant.name}: no fault can be estimated even when it is the only one; 'fauio check' says why"
@@ -47,11 +44,7 @@ def admissible_hypotheses(plant: Plant, *, largest: bool = False) -> tuple[tuple
 
 
 def design_bank(
-    plant: Plant,
-    rate_hz: float | None = None,
-    *,
-    largest: bool = False,
-    together: Sequence[tuple[str, ...]] = (),
+    plant: Plant, rate_hz: float | None = None, *, together: Sequence[tuple[str, ...]] = ()
 ) -> tuple[Hypothesis, ...]:
     """Return a certified observer for each of the :func:`admissible_hypotheses`, at a rate or that of a discrete model.
 
@@ -65,7 +58,7 @@ def design_bank(
     from gains.synthesis.convex import design_convex
 
     sets = [faults for faults in together if problem_of(plant, faults) is None]
-    plants = [(faults, restricted(plant, faults)) for faults in (*admissible_hypotheses(plant, largest=largest), *sets)]
+    plants = [(faults, restricted(plant, faults)) for faults in (*admissible_hypotheses(plant), *sets)]
     return tuple(Hypothesis(faults, part, design_convex(part, rate_hz)) for faults, part in plants)
 
 

@@ -17,7 +17,7 @@ from adapters.errors import InaccurateError, ModelError
 from gains.analysis.augment import augment
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.certificate import certify
-from gains.synthesis.convex import GAIN_WEIGHT, design_convex
+from gains.synthesis.convex import design_convex
 from gains.synthesis.design import Design, observer_matrices
 
 
@@ -66,12 +66,10 @@ def blocks_of(plant: Plant) -> tuple[PlantBlock, ...]:
     )
 
 
-def design_blocks(
-    plant: Plant, *, gain_weight: float = GAIN_WEIGHT, h2: float = 0.0, free_inverse: bool = True
-) -> Design:
+def design_blocks(plant: Plant, *, h2: float = 0.0) -> Design:
     """Design an observer for a discrete plant without nonlinearities block by block and prove it.
 
-    Each block has a state, an output and a fault; all are designed with the same options.
+    Each block has a state, an output and a fault; all are designed with the same ``h2``.
 
     Raises
     ------
@@ -85,10 +83,7 @@ def design_blocks(
         if not (block.states and block.outputs and (block.sensor_faults or block.actuator_faults)):
             names = [plant.states[i] for i in block.states] + [plant.outputs[i] for i in block.outputs]
             raise ModelError(f"{plant.name}: no fault concerns {', '.join(names)}; leave them out of the model")
-    designs = [
-        design_convex(block_plant(plant, block), h2=h2, gain_weight=gain_weight, free_inverse=free_inverse)
-        for block in blocks
-    ]
+    designs = [design_convex(block_plant(plant, block), h2=h2) for block in blocks]
     augmentation = augment(plant)
     n, p = len(plant.states), len(plant.outputs)
     a1, a2 = len(plant.actuator_faults), len(plant.sensor_faults)

@@ -43,10 +43,9 @@ class AlarmRow:
 
 
 class AlarmTable:
-    """Keeps the latest event of each channel, and cleared ones for ``kept_cleared_s`` seconds."""
+    """Keeps the latest event of each channel, and cleared ones for :data:`KEPT_CLEARED_S`."""
 
-    def __init__(self, kept_cleared_s: float = KEPT_CLEARED_S) -> None:
-        self._kept_ns = round(kept_cleared_s * 1e9)
+    def __init__(self) -> None:
         self._latest: dict[RowKey, AlarmEvent] = {}
         self._cleared_ns: dict[RowKey, int] = {}
         self._sizes: dict[RowKey, tuple[float, float | None]] = {}
@@ -86,7 +85,7 @@ class AlarmTable:
     def entries(self, now_ns: int) -> list[tuple[Group, AlarmEvent]]:
         """Return what there is at a Unix time: active alarms, worst and newest first, then shelved, then cleared."""
         for key, cleared_ns in list(self._cleared_ns.items()):
-            if now_ns - cleared_ns > self._kept_ns:
+            if now_ns - cleared_ns > 1e9 * KEPT_CLEARED_S:
                 del self._cleared_ns[key], self._latest[key]
                 self._sizes.pop(key, None)
         rows = [(_group(event, now_ns), key, event) for key, event in self._latest.items()]

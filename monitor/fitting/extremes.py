@@ -1,6 +1,6 @@
 """Extreme values: the level that a statistic of healthy flight exceeds at a stated rate, with its confidence.
 
-Peaks over threshold. A peak is a sample that is the largest within ``separation_s`` on both sides: alarms closer than
+Peaks over threshold. A peak is a sample that is the largest within ``SEPARATION_S`` on both sides: alarms closer than
 that are one alarm. Of the N peaks of T hours the k largest, above a limit u, are taken as generalised Pareto,
 
     P(X > u + e) = (1 + xi e / sigma)^(-1/xi)            e >= 0, exponential for xi = 0,
@@ -97,22 +97,11 @@ def return_level(
     rate_hz: float,
     alarms_per_hour: float,
     confidence: float = 0.9,
-    separation_s: float = SEPARATION_S,
 ) -> ReturnLevel:
-    """Return the level that a statistic exceeds ``alarms_per_hour`` times an hour.
+    """Return the level that the peaks of a statistic exceed ``alarms_per_hour`` times an hour.
 
-    Parameters
-    ----------
-    series : Sequence[NDArray[np.float64]]
-        Sizes (not negative) in healthy flight, one array for each stretch without a gap (N_i,).
-    rate_hz : float
-        Samples per second.
-    alarms_per_hour : float
-        Rate at which peaks may exceed the level.
-    confidence : float
-        Probability that the level lies between ``low`` and ``high``.
-    separation_s : float
-        Peaks closer than this count as one.
+    ``series`` are its sizes (not negative) in healthy flight, one array for each stretch without a gap (N_i,);
+    ``confidence`` is the probability that the level lies between ``low`` and ``high``.
 
     Raises
     ------
@@ -129,7 +118,7 @@ def return_level(
         raise ValueError("the healthy statistic has no samples or one that is not finite")
     hours = sum(map(len, stretches)) / rate_hz / 3600.0
     largest = max(float(stretch.max()) for stretch in stretches)
-    peaks = np.sort(np.concatenate([local_peaks(stretch, rate_hz, separation_s) for stretch in stretches]))[::-1]
+    peaks = np.sort(np.concatenate([local_peaks(stretch, rate_hz) for stretch in stretches]))[::-1]
     peaks = peaks[peaks > 0.0]
     if not len(peaks):
         return ReturnLevel(max(largest, 0.0), 0.0, max(largest, 0.0), hours, 0)
@@ -146,11 +135,11 @@ def return_level(
     return ReturnLevel(level, min(float(low), level), max(float(high), level), hours, len(excess), seen)
 
 
-def local_peaks(values: NDArray[np.float64], rate_hz: float, separation_s: float = SEPARATION_S) -> NDArray[np.float64]:
-    """Return the samples of a stretch (N,) that are the largest within ``separation_s`` before and after them."""
+def local_peaks(values: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
+    """Return the samples of a stretch (N,) that are the largest within :data:`SEPARATION_S` before and after them."""
     from scipy.ndimage import maximum_filter1d
 
-    reach = max(1, round(separation_s * rate_hz))
+    reach = max(1, round(SEPARATION_S * rate_hz))
     around = maximum_filter1d(values, 2 * reach + 1, mode="nearest")
     at = np.flatnonzero(values == around)
     apart = np.diff(at, prepend=-reach - 1) > reach  # of equal samples next to each other the first one counts

@@ -20,7 +20,6 @@ from adapters.logs.tlog import TlogReader
 from adapters.mavlink.byte_link import Address, udp_address
 from adapters.simulation.pacing import paced
 from monitor.bus.keys import alarm_key, vehicle_root
-from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.service.vehicle_monitor import VehicleMonitor
@@ -41,9 +40,9 @@ class LiveReplay:
     """Lets a replay out into the world: use it as a context, for one log after the other.
 
     ``speed`` is in times real time, by the times of arrival; None: as fast as possible. Without Zenoh endpoints to
-    connect to or to listen on nothing is published. Packets of telemetry logs go to ``udp``, ``udp:HOST:PORT``;
-    ``on_event`` is called with each event when it is published. Raises UsageError where the speed is not positive,
-    TelemetryError where an address is not understood or the Zenoh session cannot be opened.
+    connect to or to listen on nothing is published. Packets of telemetry logs go to ``udp``, ``udp:HOST:PORT``. Raises
+    UsageError where the speed is not positive, TelemetryError where an address is not understood or the Zenoh session
+    cannot be opened.
     """
 
     def __init__(
@@ -54,13 +53,11 @@ class LiveReplay:
         listen: Sequence[str] = (),
         prefix: str = "fauio",
         udp: str | None = None,
-        on_event: Callable[[AlarmEvent], None] | None = None,
     ) -> None:
         if speed is not None and not speed > 0.0:
             raise UsageError(f"--speed {speed:g}: has to be positive")
         self._speed = speed
         self._prefix = prefix
-        self._on_event = on_event or (lambda _: None)
         self._session: zenoh.Session | None = None
         self._socket: socket.socket | None = None
         self._to: Address | None = None
@@ -123,7 +120,7 @@ class LiveReplay:
             for batch in batches:
                 now_ns = int(arrival_times(batch)[-1])
                 if monitor is None:
-                    monitor = VehicleMonitor(pipeline, (), None, self._on_event, now_ns)
+                    monitor = VehicleMonitor(pipeline, (), None, lambda _: None, now_ns)
                     monitor.activate(outlet, now_ns)
                     status_ns = now_ns
                 monitor.process(batch, _since(now_ns))
