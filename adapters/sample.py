@@ -61,3 +61,5 @@ class Given(NamedTuple):
     unflown: NDArray[np.bool_] | None = None
     # how many times larger sizes are for being unlike the fitted flights (n,)
     beyond: NDArray[np.float64] | None = None
+    # where a transform put what a fault has done so far into y, which no sensor measured (n,)
+    corrected: NDArray[np.bool_] | None = None

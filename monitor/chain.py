@@ -375,7 +375,7 @@ class ObserverChain:
         raw = self._sampler.gathered(self._sampler.supplied(samples, batch, position))
         if not len(raw):
             return None
-        given, rows, spread, unflown, beyond = self._sampler.run(raw)
+        given, rows, spread, unflown, beyond, corrected = self._sampler.run(raw)
         if self._envelope is not None:
             outside = self._envelope.run(raw, np.arange(len(raw))[rows])
             beyond = outside if beyond is None else outside * beyond
@@ -384,7 +384,7 @@ class ObserverChain:
         if not isinstance(rows, slice):
             # raw samples of batches before completed nothing
             position = position[rows - (len(raw) - len(samples))]
-        run = self.estimate(given, self._sampler.admitted(given, phase), position, beyond, spread)
+        run = self.estimate(given, self._sampler.admitted(given, phase), position, beyond, spread, corrected)
         return run if unflown is None else replace(run, unflown=unflown)
 
     @property
@@ -406,16 +406,18 @@ class ObserverChain:
         position: NDArray[np.int64] | None = None,
         beyond: NDArray[np.float64] | None = None,
         spread: Mapping[str, NDArray[np.float64]] = MappingProxyType({}),
+        corrected: NDArray[np.bool_] | None = None,
     ) -> ChainRun:
         """Process n samples (u, y) of the observer itself; use :meth:`run` for those of :attr:`sampler`.
 
         ``armed`` says whether each is evidence (n,); ``position`` is as in :meth:`run`, None for their index;
         ``beyond`` how many times larger all sizes are outside of the fitted flights (n,), None: once; ``spread`` the
-        standard deviation (n,) of faults that the samples hold an estimate of, which adds to that of the observer.
+        standard deviation (n,) of faults that the samples hold an estimate of, which adds to that of the observer;
+        ``corrected`` where a transform moved y itself (n,), None: nowhere.
         """
         if position is None:
             position = np.arange(len(samples))
-        found = self._estimator.run(samples, armed, beyond)
+        found = self._estimator.run(samples, armed, beyond, corrected)
         sd = self._uncertainty.run(samples.measured, samples.restart)
         for name, deviation in spread.items():
             if name in self.layout.faults:

@@ -210,6 +210,7 @@ class Choices:
         fault: tuple[float, ...] = (-1.0, -2.0, -3.0, -4.0),
         armed: bool = True,
         beyond: float = 1.0,
+        corrected: np.ndarray | None = None,
     ) -> EstimatorRun:
         count = len(J)
         flags = np.ones(count, np.uint8)
@@ -217,7 +218,9 @@ class Choices:
         residual = np.sqrt(np.array(J))[:, :, None]
         faults = np.tile(fault, (count, 1))
         return EstimatorRun(
-            *self._choice.run(x, faults, residual, flags, flags, 0 * flags, armed * flags, np.full(count, beyond))
+            *self._choice.run(
+                x, faults, residual, flags, flags, 0 * flags, armed * flags, np.full(count, beyond), corrected
+            )
         )
 
 
@@ -275,6 +278,13 @@ def test_the_score_of_what_is_not_explained_is_the_root_of_the_smallest_J() -> N
     assert run.unexplained[0] == pytest.approx(6.0)
     assert np.isnan(run.unexplained[1])
     assert run.unexplained[2] == 0.0
+
+
+@pytest.mark.parametrize("corrected", [True, False])
+def test_the_residual_of_a_row_that_was_corrected_says_nothing(corrected: bool) -> None:
+    J = [[1.0, 100.0, 1.0]] * 10 + [[1e6, 1e6, 1e6]] + [[1.0, 100.0, 1.0]] * 5
+    run = Choices(keep=0.7).run(J, corrected=np.arange(16) == 10 if corrected else None)
+    assert (run.unexplained[10:] == 0.0).all() == corrected
 
 
 def test_residuals_that_stay_larger_than_those_that_were_fitted_are_the_new_measure() -> None:

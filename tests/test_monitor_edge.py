@@ -79,6 +79,15 @@ def test_the_end_of_a_jump_that_was_forgotten_is_no_jump_of_its_own() -> None:
     assert held[-1] == pytest.approx(-0.1, abs=0.01)
 
 
+@pytest.mark.parametrize("lasts", [300, 1300])
+def test_a_jump_to_the_other_side_counts_from_where_the_sensor_was_and_its_end_is_known(lasts: int) -> None:
+    values = np.concatenate([np.zeros(100), np.full(lasts, 0.1), np.full(lasts, -0.1), np.zeros(200)])
+    held = run(values)
+    assert held[2 * lasts] == pytest.approx(-0.1 if lasts < 1000 else 0.0, abs=0.01)
+    assert held[lasts + 150] == pytest.approx(-0.1, abs=0.01)
+    assert not held[2 * lasts + 150 :].any()
+
+
 def test_without_a_smallest_size_each_edge_shows_and_none_is_held() -> None:
     edges = run(step(0.02), smallest=None)
     assert edges.max() == pytest.approx(0.02, abs=0.01)

@@ -35,6 +35,7 @@ class Choice:
         restart: Flags,
         armed: Flags,
         beyond: Array | None,
+        corrected: Flags | None = None,
     ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], Array, Array, Array]: ...
 
 class EdgeDetector:

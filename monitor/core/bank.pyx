@@ -37,7 +37,7 @@ cdef double EDGE_SHARE = 0.25
 # Share that an edge may lose meanwhile: a ramp goes on, but attitudes follow a sensor that jumped and take that back.
 # Chosen: as for the end of an edge, halfway to a jump that is over.
 cdef double EDGE_FADED = 0.5
-# An edge that leaves less than this share of itself of the sum that is held has ended it. Chosen: halfway between a
+# An edge that leaves less than this share of itself, and of what was there, has ended it. Chosen: halfway between a
 # sensor that is back where it was and one that jumped once more.
 cdef double EDGE_CANCELLED = 0.5
 # Share of bridged rows in the window up to which an edge is believed: lines across losses are flat and have corners.
@@ -130,20 +130,21 @@ cdef class Choice:
 
     def run(self, const double[:, :, :] x, const double[:, :] fault, const double[:, :, :] residual,
             const unsigned char[:] measured, const unsigned char[:] complete, const unsigned char[:] restart,
-            const unsigned char[:] armed, const double[:] beyond):
+            const unsigned char[:] armed, const double[:] beyond, const unsigned char[:] corrected=None):
         """Return believed x, fault, believed residual, evidence, counted, smoothed, unexplained and level of n rows.
 
         x (n, K, states), fault (n, F) and residual (n, K, p) are what the observers estimate. A row that is neither
         measured nor a restart teaches nothing: the choice stays. The level is followed over rows that are evidence
-        (``armed``). ``beyond`` is how many times larger all sizes are outside of the fitted flights, None: once.
+        (``armed``). ``beyond`` is how many times larger all sizes are outside of the fitted flights, None: once. Where y
+        was ``corrected``, None: nowhere, the residual is a jump that no sensor made, and left out.
         """
         cdef Py_ssize_t k, i, count = x.shape[0], states = x.shape[2], p = residual.shape[2], a = self.shown.shape[0]
         if not count == fault.shape[0] == residual.shape[0]:
             raise ValueError("x, fault and residual differ in length")
         if not count == measured.shape[0] == complete.shape[0] == restart.shape[0] == armed.shape[0] or (
-            beyond is not None and beyond.shape[0] != count
+            beyond is not None and beyond.shape[0] != count or corrected is not None and corrected.shape[0] != count
         ):
-            raise ValueError("x, measured, complete, restart, armed and beyond differ in length")
+            raise ValueError("x, measured, complete, restart, armed, beyond and corrected differ in length")
         if x.shape[1] != self.J.shape[0] or residual.shape[1] != self.J.shape[0] or p != self.residual.shape[1]:
             raise ValueError("x and residual are not of the bank's hypotheses and outputs")
         if fault.shape[1] != self.fault.shape[0]:
@@ -163,7 +164,7 @@ cdef class Choice:
             level[k] = max(1.0, self.level)
             if measured[k] or restart[k]:
                 self.update(fault, residual, k, complete[k] and not self.coasted,
-                            1.0 if beyond is None else beyond[k])
+                            1.0 if beyond is None else beyond[k], corrected is not None and corrected[k])
                 # What no hypothesis explains is no weather: it must not hide itself.
                 if armed[k] and self.usual > 0.0 and self.unexplained == 0.0:
                     brought = level[k] * self.least / self.usual
@@ -194,13 +195,13 @@ cdef class Choice:
             (<Washout> self.washouts[i]).clear()
 
     cdef void update(self, const double[:, :] fault, const double[:, :, :] residual, Py_ssize_t row,
-                     bint complete, double beyond) noexcept:
+                     bint complete, double beyond, bint corrected) noexcept:
         cdef Py_ssize_t k, i, j, K = self.J.shape[0], p = self.residual.shape[1]
         cdef double keep = self.keep, white
         cdef bint explained
         # Smoothed residuals r_k, J_k = |W_k r_k|^2 / lambda and smoothed faults.
         for k in range(K):
-            for i in range(p):
+            for i in range(0 if corrected else p):
                 self.residual[k, i] = keep * self.residual[k, i] + (1.0 - keep) * residual[row, k, i]
             self.J[k] = 0.0
             for i in range(p):
@@ -413,7 +414,7 @@ cdef class EdgeDetector:
 
     cdef double update(self, double estimate, double J, bint complete) noexcept:
         """Process one row; return the size that is held, or of the edge where none is held."""
-        cdef double step
+        cdef double step, before
         self.push(estimate, complete)
         # A J beyond the limit rules edges out until the whole window lies after it.
         self.loud = self.size if self.limit < J else max(0, self.loud - 1)
@@ -430,13 +431,13 @@ cdef class EdgeDetector:
             self.quiet = self.gap + 2 * self.mean
             self.age = 0
             # What leads back to nothing is the end of what came slowly, or is not held any more.
-            if self.held == 0.0 and min(fabs(self.gone + self.edge), fabs(self.back(0))) < EDGE_CANCELLED * fabs(
-                self.edge
-            ):
+            if self.held == 0.0 and fabs(self.back(0)) < EDGE_CANCELLED * fabs(self.edge):
                 self.gone = 0.0
                 return 0.0
-            self.held += self.edge
-            if fabs(self.held) < EDGE_CANCELLED * fabs(self.edge):
+            before = self.held if self.held != 0.0 else self.gone if self.gone * self.edge < 0.0 else 0.0
+            self.held, self.gone = before + self.edge, 0.0
+            # One that leads to the other side by as much has not ended it.
+            if before and fabs(self.held) < EDGE_CANCELLED * min(fabs(self.edge), fabs(before)):
                 self.held = 0.0
         return self.held
 

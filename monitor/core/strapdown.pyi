@@ -9,7 +9,6 @@ from monitor.core.navigation import Navigation
 class StrapdownCore:
     scores: NDArray[np.float64]
     spreads: NDArray[np.float64]
-    beyond: NDArray[np.float64]
 
     def __init__(
         self,

@@ -224,8 +224,6 @@ cdef class StrapdownCore:
     spreads : ndarray
         Standard deviations of the faults of gyros x, y, z, accelerometers x, y and compass as the navigation judges
         them in each of these samples (n, 6); 0 where it does not.
-    beyond : ndarray
-        How many times larger errors of each of these samples are for the times without GPS or IMU that they remember.
     """
 
     cdef bint _gps, _baro, _mag, _hectopascal
@@ -234,7 +232,7 @@ cdef class StrapdownCore:
     cdef _Delay _motion, _fixes, _altitudes, _levels, _sensed
     cdef Navigation _navigation
     cdef _Vertical _vertical
-    cdef readonly object scores, spreads, beyond
+    cdef readonly object scores, spreads
     cdef int _washed
     cdef double _biased_s, _attitude_share
     cdef bint _learned
@@ -267,8 +265,8 @@ cdef class StrapdownCore:
     cdef double[2] _led
     cdef double[4] _apart_gps
     cdef bint _back
-    # Whether what the vehicle turned was set back in this period: a jump that no sensor made.
-    cdef bint _corrected
+    # Whether what the vehicle turned was set back in this period: a jump that no sensor made. Whether y has it now.
+    cdef bint _corrected, _moved
     cdef bint _still
     cdef int _stills
     # Attitude of the tick before; what it turned so far; first place and the metres of its degrees.
@@ -390,10 +388,12 @@ cdef class StrapdownCore:
         memset(self._once, 0, sizeof(self._once))
         memset(self._led, 0, sizeof(self._led))
         memset(self._apart_gps, 0, sizeof(self._apart_gps))
-        self._back = self._corrected = False
+        self._back = self._corrected = self._moved = False
 
     def run(self, samples):
         """Go on by raw samples; return the observer's samples, each where its period ends.
+
+        Their errors are larger for the times without GPS or IMU that they remember.
 
         Parameters
         ----------
@@ -415,7 +415,7 @@ cdef class StrapdownCore:
         cdef int i, group
         for row in range(index.shape[0]):
             most += index[row] % self._count == 0
-        whole, marks, ends = np.empty((4, most), np.int64), np.ones((3, most), np.bool_), np.empty(most, np.intp)
+        whole, marks, ends = np.empty((4, most), np.int64), np.ones((4, most), np.bool_), np.empty(most, np.intp)
         inputs, outputs = np.empty((most, self._inputs)), np.empty((most, self._outputs))
         lacking = np.zeros((most, self._inputs + self._outputs), np.bool_)
         cdef unsigned char[:, ::1] without = lacking.view(np.uint8)
@@ -459,6 +459,7 @@ cdef class StrapdownCore:
                 if self._doubt[_IMU]:
                     without[count, self._inputs :] = True
                 flags[0, count], flags[1, count] = self._fresh, whole_sample and not self._corrected
+                flags[3, count], self._moved = self._moved, self._corrected
                 self._fresh = self._corrected = False
                 for i in range(self._inputs):
                     u[count, i] = self._sum[i] / self._summed
@@ -503,10 +504,12 @@ cdef class StrapdownCore:
         if count < most:
             whole, marks, ends = whole[:, :count], marks[:, :count], ends[:count]
             inputs, outputs, lacking = inputs[:count], outputs[:count], lacking[:count]
-        self.scores, self.spreads, self.beyond = likeliest[:count], uncertain[:count], larger[:count]
+        self.scores, self.spreads = likeliest[:count], uncertain[:count]
         return Given(
             Samples(whole[0], whole[1], whole[2], inputs, outputs, marks[0], marks[1], whole[3], marks[2], lacking),
             ends,
+            beyond=larger[:count],
+            corrected=marks[3],
         )
 
     cdef void find_lacking(self, const double* signals, const unsigned char* lost, bint* lacks) noexcept:

@@ -167,17 +167,23 @@ class Bank:
         )
 
     def run(
-        self, samples: Samples, armed: NDArray[np.bool_], beyond: NDArray[np.float64] | None = None
+        self,
+        samples: Samples,
+        armed: NDArray[np.bool_],
+        beyond: NDArray[np.float64] | None = None,
+        corrected: NDArray[np.bool_] | None = None,
     ) -> EstimatorRun:
         """Process N samples; return the estimates under the hypothesis believed and the evidence after each.
 
         ``armed`` says whether each is evidence (N,), ``beyond`` how many times larger all sizes are outside of the
-        fitted flights (N,), None: once.
+        fitted flights (N,), None: once; the residuals of those that were ``corrected`` (N,) say nothing.
         """
         restart, measured = samples.restart, samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)
         return EstimatorRun(
-            *self._choice.run(run.x, run.fault, run.residual, measured, samples.complete, restart, armed, beyond)
+            *self._choice.run(
+                run.x, run.fault, run.residual, measured, samples.complete, restart, armed, beyond, corrected
+            )
         )
 
 

@@ -26,11 +26,15 @@ class JointEstimator:
         self._isolation = IndependentIsolation(len(observer.hypotheses[0].faults), keep)
 
     def run(
-        self, samples: Samples, armed: NDArray[np.bool_], beyond: NDArray[np.float64] | None = None
+        self,
+        samples: Samples,
+        armed: NDArray[np.bool_],
+        beyond: NDArray[np.float64] | None = None,
+        corrected: NDArray[np.bool_] | None = None,
     ) -> EstimatorRun:
         """Process N samples; return the estimates and the evidence after each.
 
-        Which are evidence (``armed``) and how far they lie outside of the fitted flights changes nothing here.
+        Which are evidence (``armed``), lie ``beyond`` the fitted flights or were ``corrected`` changes nothing here.
         """
         restart, measured = samples.restart, samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)

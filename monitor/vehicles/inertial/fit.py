@@ -104,6 +104,8 @@ over."""
 _TIMES = Times(fast_s=0.08, raise_s=0.2, slow_s=4.0, clear_s=0.5)
 _JUMP_S = 0.2
 """Time that the GPS's velocity takes for a jump, seconds: straight lines from fix to fix of receivers at 5 Hz."""
+# What the navigation has decided is beyond doubt.
+_DECIDED = replace(_TIMES, fast_s=0.0, raise_s=0.0)
 # A jump is known after two means, itself and a level, 1.1 s. A touchdown is one, too, and autopilots know of it 1.2 to
 # 1.5 s later (11 of 12 flights): half a second more leaves them the time to say so.
 _JUMP = Times(fast_s=0.5, raise_s=0.5, clear_s=0.5)
@@ -472,6 +474,7 @@ def _alarms(
     for channel in channels:
         edges = channel.name in GPS_VELOCITY
         times = _JUMP if edges else _SET if channel.name in MOTION else _TIMES
+        times = _DECIDED if channel.name in ACCELEROMETERS else times
         if channel.name == "compass" and places.keys() & set(MOTION):
             times = _TILTED
         pool = next((pool for pool in _POOLS if channel.name in pool), (channel.name,))

@@ -186,7 +186,6 @@ class Strapdown:
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw signals (``samples.u``) complete, each where its period ends."""
         given = self._core.run(self._learned.run(samples) if self._learned else samples)
-        given = given._replace(beyond=self._core.beyond)
         if self.navigation is None:
             return given
         return given._replace(spread=dict(zip(_JUDGED, self._core.spreads.T, strict=True)))
