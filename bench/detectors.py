@@ -315,17 +315,20 @@ def _run_chains(observers: Sequence[ObserverProfile], gate: GateRule, samples: M
     return Run(first, tuple(traces), tuple(rarer))
 
 
-def _whitening(healthy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what makes healthy residuals (N, p) white; one that was never anything, as clips are, keeps its unit."""
-    S = healthy.T @ healthy / len(healthy)
-    return np.linalg.cholesky(np.linalg.inv(S + np.diag(np.diag(S) == 0.0))).T
+def _whitening(healthy: NDArray[np.float64], plant: Plant) -> NDArray[np.float64]:
+    """Return what makes healthy residuals (N, p) white; one that was never anything, as clips, has its model's noise.
+
+    In units of its rounding a fault of it would be so large that the rounding of convolutions raises alarms before it.
+    """
+    S, noise = healthy.T @ healthy / len(healthy), np.square(plant.D).sum(axis=1)
+    return np.linalg.cholesky(np.linalg.inv(S + np.diag(np.where(np.diag(S) <= _UNMOVED**2 * noise, noise, 0.0)))).T
 
 
 def _energy(observer: ObserverProfile, plant: Plant, flights: Sequence[Flight], share: float) -> EnergyDetector:
     gains = design_ekf(restricted(plant, ()), observer.rate_hz)
     residuals = [_residuals(gains, flight) for flight in flights]
     healthy = np.concatenate([r[flight.armed] for r, flight in zip(residuals, flights, strict=True)])
-    W = _whitening(healthy) / np.sqrt(healthy.shape[1])
+    W = _whitening(healthy, plant) / np.sqrt(healthy.shape[1])
     raise_s, rate_hz = Times().raise_s, observer.rate_hz
     energies = [_windowed(r, W, flight, rate_hz) for r, flight in zip(residuals, flights, strict=True)]
     stretches = [stretch for e in energies for stretch in _finite_stretches(e)]
@@ -358,7 +361,7 @@ def _textbook(
     gains = design_ekf(restricted(plant, ()), observer.rate_hz)
     residuals = [_residuals(gains, flight) for flight in flights]
     healthy = np.concatenate([r[flight.armed] for r, flight in zip(residuals, flights, strict=True)])
-    W = _whitening(healthy)
+    W = _whitening(healthy, plant)
     faults = list(dict.fromkeys(fault for one in _compared(observer) for fault in one.faults))
     signatures = np.stack([_signature(plant, fault, gains, W, observer.rate_hz) for fault in faults])
     bank = TextbookBank(name, observer.name, gains, W, signatures, ())
