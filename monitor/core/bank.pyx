@@ -135,8 +135,8 @@ cdef class Choice:
 
         x (n, K, states), fault (n, F) and residual (n, K, p) are what the observers estimate. A row that is neither
         measured nor a restart teaches nothing: the choice stays. The level is followed over rows that are evidence
-        (``armed``). ``beyond`` is how many times larger all sizes are outside of the fitted flights, None: once. Where y
-        was ``corrected``, None: nowhere, the residual is a jump that no sensor made, and left out.
+        (``armed``). ``beyond`` is how many times larger all sizes are outside of the fitted flights, None: once. Where
+        y was ``corrected``, None: nowhere, the residual is a jump that no sensor made, and left out.
         """
         cdef Py_ssize_t k, i, count = x.shape[0], states = x.shape[2], p = residual.shape[2], a = self.shown.shape[0]
         if not count == fault.shape[0] == residual.shape[0]:
