@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
-from monitor.vehicles.multirotor.frames import Frame, frame_of, standard_frames
+from monitor.vehicles.multirotor.frames import Frame, frame_of, lifting_outputs, standard_frames
 from monitor.vehicles.multirotor.trim import TRIM_HZ, choose_frame, identify_trim, slow_times, smallest_loss
 
 STEP_S = 0.01
@@ -105,6 +105,43 @@ def test_parameters_of_px4_place_the_rotors() -> None:
     frame = frame_of({"CA_ROTOR_COUNT": 4.0, **parameters}, (1, 2, 3, 4))
     assert frame is not None
     assert frame.effects.tolist() == [[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1]]
+
+
+QUADPLANE = {"Q_ENABLE": 1.0, "Q_FRAME_CLASS": 1.0, "Q_FRAME_TYPE": 1.0} | {
+    f"SERVO{n}_FUNCTION": float(function) for n, function in enumerate((4, 19, 70, 21, 33, 34, 35, 36), 1)
+}
+PX4_VTOL = {"CA_ROTOR_COUNT": 5.0, "CA_ROTOR4_PX": -0.3, "CA_ROTOR4_AX": 1.0, "CA_ROTOR4_AZ": 0.0} | {
+    f"PWM_MAIN_FUNC{n}": float(function) for n, function in enumerate((101, 102, 103, 104, 201, 202, 203, 105), 1)
+}
+TRI = {"FRAME_CLASS": 7.0, "SERVO1_FUNCTION": 33.0, "SERVO2_FUNCTION": 34.0, "SERVO4_FUNCTION": 36.0}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "outputs"),
+    [
+        (QUADPLANE, {5, 6, 7, 8}),
+        (PX4_VTOL, {1, 2, 3, 4}),
+        (TRI | {"SERVO7_FUNCTION": 39.0}, {1, 2, 4}),
+        ({}, set()),
+        ({"SERVO1_FUNCTION": 4.0, "SERVO2_FUNCTION": 19.0, "SERVO3_FUNCTION": 70.0}, set()),
+    ],
+)
+def test_surfaces_a_forward_motor_and_a_tails_servo_do_not_lift(
+    parameters: dict[str, float], outputs: set[int]
+) -> None:
+    assert lifting_outputs(parameters) == outputs
+
+
+def test_the_motors_of_a_plane_that_hovers_have_their_frame_behind_its_surfaces() -> None:
+    frame = frame_of(QUADPLANE, (5, 6, 7, 8))
+    assert frame is not None and frame.name == "quad x"
+    assert frame.effects.tolist() == [[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1]]
+
+
+def test_motors_of_a_tricopter_turn_it_about_roll_and_pitch_alone() -> None:
+    frame = frame_of(TRI, (1, 2, 4))
+    assert frame is not None and np.allclose(frame.effects, [[-1, 1, 0], [0.5, 0.5, -1], [0, 0, 0]])
+    assert lifting_outputs({}, tricopter=True) == {1, 2, 4}
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,16 @@ MOTOR_FUNCTIONS = {**{33 + i: i for i in range(8)}, **{82 + i: 8 + i for i in ra
 _PX4_FUNCTIONS = {101 + i: i for i in range(_PX4_ROTORS)}
 """PX4's PWM_MAIN_FUNCn (and those of other drivers) of motors 1 to 12, and their index from 0."""
 
+_OUTPUTS = 16
+"""Outputs in a SERVO_OUTPUT_RAW."""
+
 _PX4_QUAD_X = 4
 """Thousands of PX4's SYS_AUTOSTART of quads in x, which before its version 1.13 was all that logs said of the frame."""
+
+_TRI = 7
+"""ArduPilot's FRAME_CLASS of tricopters."""
+_TRI_MOTORS = (0, 1, 3)
+"""Theirs from 0: what the function of motor 7 drives is the servo of the tail."""
 
 CCW, CW = 1.0, -1.0
 """Yaw by the drag of a motor that turns counter-clockwise or clockwise, seen from above."""
@@ -52,7 +60,26 @@ _STANDARD: Mapping[tuple[int, int], tuple[str, tuple[tuple[float, float], ...]]]
         ((45, CCW), (-45, CW), (-135, CCW), (135, CW), (-45, CCW), (45, CW), (135, CCW), (-135, CW)),
     ),
     (4, 0): ("octa quad +", ((0, CCW), (-90, CW), (180, CCW), (90, CW), (-90, CCW), (0, CW), (90, CCW), (180, CW))),
+    (4, 14): (
+        "octa quad x, clockwise order",
+        ((45, CCW), (45, CW), (135, CW), (135, CCW), (-135, CCW), (-135, CW), (-45, CW), (-45, CCW)),
+    ),
+    (4, 20): (
+        "octa quad x, pairs turning alike",
+        ((45, CCW), (-45, CW), (-135, CCW), (135, CW), (-45, CW), (45, CCW), (135, CW), (-135, CCW)),
+    ),
+    (5, 0): ("y6", ((60, CCW), (-60, CW), (-60, CCW), (180, CW), (60, CW), (180, CCW))),
+    (5, 10): ("y6b", ((60, CW), (60, CCW), (180, CW), (180, CCW), (-60, CW), (-60, CCW))),
+    (5, 11): ("y6f", ((180, CCW), (60, CCW), (-60, CCW), (180, CW), (60, CW), (-60, CW))),
+    # A servo at its tail turns it, which feels no drag of motors.
+    (_TRI, 0): ("tri", ((60, 0.0), (-60, 0.0), (180, 0.0))),
+    (12, 1): ("dodeca hexa x", tuple((30 + 60 * (i // 2), (CCW, CW, CW, CCW)[i % 4]) for i in range(12))),
+    (12, 0): ("dodeca hexa +", tuple((60 * (i // 2), (CCW, CW, CW, CCW)[i % 4]) for i in range(12))),
+    (14, 1): ("deca x", tuple((18 + 36 * i, (CCW, CW)[i % 2]) for i in range(10))),
+    (14, 0): ("deca +", tuple((36 * i, (CCW, CW)[i % 2]) for i in range(10))),
 }
+_ONE_SHAPE = (5, _TRI)
+"""Classes whose types, but for those above, are all one frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,39 +92,75 @@ class Frame:
     effects: NDArray[np.float64]
 
 
+def lifting_outputs(parameters: Mapping[str, float], tricopter: bool = False) -> frozenset[int]:
+    """Return the numbers of the outputs that drive motors that lift, by their functions; none where nothing says so.
+
+    Control surfaces, a forward motor and the servos of a tail or of tilting motors are none. ``tricopter`` says whether
+    the vehicle reports to be one, whose motors are outputs 1, 2 and 4 if no parameter tells.
+    """
+    of = _motors(parameters)
+    if len(of) < 3:
+        return frozenset(index + 1 for index in _TRI_MOTORS) if tricopter else frozenset()
+    if tricopter or _class(parameters)[0] == _TRI:
+        return frozenset(number for number, index in of.items() if index in _TRI_MOTORS)
+    return frozenset(number for number, index in of.items() if _lifts(parameters, index))
+
+
 def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame | None:
     """Return the frame that an autopilot's parameters describe, None where they do not.
 
-    Those are ``CA_ROTOR*`` of PX4, ``FRAME_CLASS`` and ``FRAME_TYPE`` of ArduPilot, functions of outputs of both;
-    ``outputs`` are the numbers of the servo outputs that are motors (s,).
+    Those are ``CA_ROTOR*`` of PX4, ``FRAME_CLASS`` and ``FRAME_TYPE`` of ArduPilot (``Q_FRAME_*`` of its planes),
+    functions of outputs of both; ``outputs`` are the numbers of the servo outputs that are motors (s,).
     """
+    of = _motors(parameters)
+    order = [of.get(number, number - 1) for number in outputs]
     if parameters.get("CA_ROTOR_COUNT", 0) >= len(outputs):
-        return _of_px4(parameters, outputs)
-    key = (int(parameters.get("FRAME_CLASS", 0)), int(parameters.get("FRAME_TYPE", 0)))
+        return _of_px4(parameters, order)
+    key = _class(parameters)
     if parameters.get("SYS_AUTOSTART", 0) // 1000 == _PX4_QUAD_X:
         key = (1, 1)
-    standard = _STANDARD.get(key)
+    standard = _STANDARD.get(key, _STANDARD[key[0], 0] if key[0] in _ONE_SHAPE else None)
     if standard is None:
         return None
+    if key[0] == _TRI:
+        order = [_TRI_MOTORS.index(index) if index in _TRI_MOTORS else -1 for index in order]
     name, motors = standard
-    functions = {n: MOTOR_FUNCTIONS.get(int(parameters.get(f"SERVO{n}_FUNCTION", -1)), n - 1) for n in outputs}
-    return _chosen(name, _effects(motors), [functions[n] for n in outputs])
+    return _chosen(name, _effects(motors), order)
 
 
 def standard_frames(motors: int) -> Iterator[Frame]:
-    """Yield the standard frames with a number of motors whose outputs are in the order of the motors."""
+    """Yield the standard frames with a number of motors, no two alike, whose outputs are in the order of the motors."""
     for name, places in _STANDARD.values():
-        if len(places) == motors:
-            yield Frame(name, _effects(places))
+        if len(places) == len(set(places)) == motors:
+            yield Frame(name, _scaled(_effects(places)))
 
 
-def _of_px4(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame | None:
-    """Return the frame of PX4's control allocation; motors are in the order of its rotors."""
+def _class(parameters: Mapping[str, float]) -> tuple[int, int]:
+    """Return ArduPilot's class and type of the frame."""
+    q = "Q_" if parameters.get("Q_ENABLE", 0) else ""
+    return int(parameters.get(f"{q}FRAME_CLASS", 0)), int(parameters.get(f"{q}FRAME_TYPE", 0))
+
+
+def _motors(parameters: Mapping[str, float]) -> dict[int, int]:
+    """Return the numbers of outputs that parameters call motors, and which motor each is, from 0."""
+    tables = ("SERVO{}_FUNCTION", MOTOR_FUNCTIONS), ("PWM_MAIN_FUNC{}", _PX4_FUNCTIONS)
+    said = ((n, int(parameters.get(key.format(n), -1)), of) for key, of in tables for n in range(1, _OUTPUTS + 1))
+    return {n: of[function] for n, function, of in said if function in of}
+
+
+def _lifts(parameters: Mapping[str, float], index: int) -> bool:
+    """Return whether a rotor of PX4 pushes along the vehicle's vertical more than along its nose; others do."""
+    axis = (parameters.get(f"CA_ROTOR{index}_{key}", default) for key, default in (("AX", 0.0), ("AZ", -1.0)))
+    forward, down = map(abs, axis)
+    return down > forward
+
+
+def _of_px4(parameters: Mapping[str, float], order: Sequence[int]) -> Frame | None:
+    """Return the frame of PX4's control allocation."""
     rotors = range(int(min(parameters["CA_ROTOR_COUNT"], _PX4_ROTORS)))
     rows = [[parameters.get(f"CA_ROTOR{i}_{key}", default) for i in rotors] for key, default in _PX4_DEFAULTS]
     px, py, km = np.array(rows)
-    order = [_PX4_FUNCTIONS.get(int(parameters.get(f"PWM_MAIN_FUNC{n}", -1)), n - 1) for n in outputs]
-    return _chosen(f"{len(rotors)} rotors as the parameters place them", _scaled(np.stack([-py, px, km])), order)
+    return _chosen(f"{len(order)} rotors as the parameters place them", np.stack([-py, px, km]), order)
 
 
 _PX4_DEFAULTS = (("PX", 0.0), ("PY", 0.0), ("KM", 0.05))
@@ -105,15 +168,15 @@ _PX4_DEFAULTS = (("PX", 0.0), ("PY", 0.0), ("KM", 0.05))
 
 
 def _chosen(name: str, effects: NDArray[np.float64], order: Sequence[int]) -> Frame | None:
-    """Return the frame with its motors in the order of the outputs."""
+    """Return the frame with its motors in the order of the outputs, which holds each once."""
     if len(set(order)) < len(order) or not all(0 <= index < effects.shape[1] for index in order):
         return None
-    return Frame(name, effects[:, list(order)])
+    return Frame(name, _scaled(effects[:, list(order)]))
 
 
 def _effects(motors: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
     angles = [radians(angle) for angle, _ in motors]
-    return _scaled(np.array([[-sin(a) for a in angles], [cos(a) for a in angles], [yaw for _, yaw in motors]]))
+    return np.array([[-sin(a) for a in angles], [cos(a) for a in angles], [yaw for _, yaw in motors]])
 
 
 def _scaled(effects: NDArray[np.float64]) -> NDArray[np.float64]:
