@@ -188,6 +188,9 @@ class EvidenceFlow:
             return "measurements that do not come together", "gap"
         if seldom := self.chain.sampler.seldom:
             return f"{' and '.join(seldom)} that comes too seldom for what was fitted", "gap"
+        lift = self.chain.source.lift
+        if lift is not None and not self.chain.gate.carried:
+            return f"flight that its {lift.by} alone do not carry", "not_carried"
         if self._lost:
             return f"no {' and no '.join(self._lost)}", "gap"
         return "estimates without time to settle", "settling"

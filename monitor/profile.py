@@ -38,14 +38,19 @@ from monitor.estimation.isolation_rule import (
 from monitor.sampling.gate import GateRule, read_gate
 from monitor.sampling.identity import Identity
 from monitor.sampling.supply import SupplyRule, read_supply
-from monitor.sampling.transform import SampleSource, TransformRule, make_transform
+from monitor.sampling.transform import LiftRule, SampleSource, TransformRule, make_transform
 
 
 def read_source(table: Table, gains: Gains) -> SampleSource:
     """Return where an observer's samples come from, as its table says; mistakes are recorded in its file."""
     rates = table.table("fitted_hz") if table.has("fitted_hz") else None
     fitted_hz = {} if rates is None else {name: rates.number(name, above=0.0) for name in rates}
-    return replace(_read_source(table, gains), fitted_hz=fitted_hz)
+    lift = None
+    if table.has("lift"):
+        found = table.table("lift")
+        lift = LiftRule(found.choice("by", ("rotors", "wings")), found.number("least_command", 0.0, at_least=0.0))
+        found.done()
+    return replace(_read_source(table, gains), fitted_hz=fitted_hz, lift=lift)
 
 
 def _read_source(table: Table, gains: Gains) -> SampleSource:
@@ -70,7 +75,9 @@ def _read_source(table: Table, gains: Gains) -> SampleSource:
 
 def source_table(source: SampleSource) -> dict[str, Any]:
     """Return the part of an observer's table that :func:`read_source` reads."""
-    rates = {"fitted_hz": dict(source.fitted_hz)} if source.fitted_hz else {}
+    rates: dict[str, Any] = {"fitted_hz": dict(source.fitted_hz)} if source.fitted_hz else {}
+    if source.lift is not None:
+        rates["lift"] = asdict(source.lift)
     if source.transform is None:
         return rates | {
             "inputs": {channel.name: channel_table(channel) for channel in source.inputs},

@@ -315,7 +315,8 @@ def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
         It says it is not.
     """
     last = surveyed[-1]
-    says = last.identity.vehicle_type
+    # ArduPilot's planes that hover report to be planes.
+    says = "vtol" if last.survey.is_vtol else last.identity.vehicle_type
     if _is_another(kind, says):
         mend = "".join(f"fit it with --vehicle {kind.name}, " for kind in likely_kinds(KINDS, says))
         raise OtherVehicleError(

@@ -14,6 +14,7 @@ from monitor.blind import LIMIT_NS
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, handover_message
 from monitor.profile import Profile
+from monitor.sampling.transform import LiftRule
 from replay.player import play
 
 
@@ -84,6 +85,30 @@ def test_a_gps_that_goes_on_without_a_fix_is_lost(quad_profile: Profile, flight:
     raised, cleared = blind_of(profile, unfixed)
     assert "inertial: no GPS for 5 s" in raised.message
     assert cleared.state == "cleared"
+
+
+def test_motors_of_a_vehicle_on_its_wings_are_not_watched_and_its_sensors_are(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    lift = LiftRule("rotors", 0.1)
+    observers = (
+        one if one.source.transform else replace(one, source=replace(one.source, lift=lift))
+        for one in quad_profile.observers
+    )
+    profile = replace(quad_profile, observers=tuple(observers))
+    first_ns = flight[0].received_ns
+    states = [
+        replace(m, fields={**m.fields, "vtol_state": 4 if 20.0 <= (m.received_ns - first_ns) / 1e9 < 35.0 else 3})
+        if m.name == "EXTENDED_SYS_STATE"
+        else m
+        for m in flight
+    ]
+    raised, *_, cleared = events_of(profile, states)
+    assert raised.message == (
+        "the vehicle flies and is not watched: motors: flight that its rotors alone do not carry for 5 s"
+    )
+    assert (raised.channel, raised.severity, cleared.state) == ("blind", "warning", "cleared")
+    assert 35.0 <= (cleared.time_ns - first_ns) / 1e9 <= 42.0
 
 
 def test_a_message_that_never_came_is_no_loss(quad_profile: Profile, flight: list[Message]) -> None:

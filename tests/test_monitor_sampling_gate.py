@@ -20,7 +20,7 @@ from adapters.source import MAVLINK
 from monitor.core.sampling import VehicleClock
 from monitor.sampling.gate import FlightGate, GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
-from monitor.sampling.transform import SampleSource
+from monitor.sampling.transform import LiftRule, SampleSource
 
 COUNT = 300
 
@@ -94,6 +94,28 @@ def test_raw_signals_of_sensors_are_no_commands() -> None:
         sampler = GatedSampler(source, 100.0, VehicleClock(), rule, commands=commands)
         found = sampler.sample(pack(messages), phase(landed=None)).armed
         assert len(found) and found.all() != commands
+
+
+@pytest.mark.parametrize(
+    ("vtol_state", "rotors", "wings"),
+    [(None, True, True), (0, True, True), (1, False, False), (2, False, False), (3, True, False), (4, False, True)],
+)
+def test_what_is_watched_has_to_carry_a_vehicle_of_rotors_and_wings(
+    vtol_state: int | None, rotors: bool, wings: bool
+) -> None:
+    known = phase()
+    known.feed(Message(MAVLINK, "EXTENDED_SYS_STATE", 0, {"landed_state": 2, "vtol_state": vtol_state}, 1, 1))
+    for rule, counts in ((LiftRule("rotors", 0.5), rotors), (LiftRule("wings"), wings)):
+        gate = FlightGate(GateRule(settle_s=0.0), lift=rule)
+        assert gate.admitted(known, commanded(0.6)).tolist() == [counts]
+        assert gate.carried == counts
+
+
+def test_rotors_that_turn_slowly_in_the_air_do_not_carry_the_vehicle_and_it_has_not_landed() -> None:
+    gate = FlightGate(GateRule(settle_s=0.0), lift=LiftRule("rotors", 0.5))
+    assert gate.admitted(phase(landed=None), commanded(0.6, 0.4, 0.0)).tolist() == [True, False, False]
+    assert not gate.carried
+    assert (gate.idle, gate.airborne) == (-1, None)
 
 
 def test_a_command_of_zero_asks_for_none() -> None:

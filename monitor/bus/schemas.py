@@ -89,8 +89,8 @@ _WATCHING = {
         "last_ns": _EVIDENCE_TIME,
         "why_not": {
             "type": ["string", "null"],
-            "description": "what keeps it from having evidence: on_ground, gap, settling, clock, contradicted or "
-            "no_message NAME; null where nothing does",
+            "description": "what keeps it from having evidence: on_ground, gap, settling, clock, not_carried, "
+            "contradicted or no_message NAME; null where nothing does",
         },
         "sensors": {"type": "object", "additionalProperties": _EVIDENCE_TIME},
     },

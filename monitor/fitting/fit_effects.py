@@ -37,7 +37,7 @@ from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import Calibrated
 from monitor.sampling.gate import GateRule
-from monitor.sampling.transform import SampleSource, TransformRule, make_transform
+from monitor.sampling.transform import LiftRule, SampleSource, TransformRule, make_transform
 
 SHOWN_S = 20.0
 """Seconds drawn: as many as show single manoeuvres over the width of a page."""
@@ -129,7 +129,9 @@ def fit_effects(
         The recordings do not hold what is needed, excite no axis, or allow no certified design.
     """
     rate_hz = request.fraction_hz(signals.rate_hz, min(signals.rate_hz, _OBSERVER_HZ))
-    source = SampleSource(inputs=signals.channels)
+    # Hovering and in transitions of a vehicle with rotors, too, surfaces are not what turns it.
+    lift = LiftRule("wings") if any(survey.is_vtol for survey in request.surveys) else None
+    source = SampleSource(inputs=signals.channels, lift=lift)
     raw = [flight_samples(log(), source, signals.rate_hz, gate, commands=False) for log in request.logs]
     reference = _reference_speed(kind, raw)
     speeds = {"reference_speed": reference, "minimum_speed": kind.slowest * reference}
@@ -168,7 +170,7 @@ def fit_effects(
         name=kind.observer,
         plant=plant,
         gains=(gains,),
-        source=SampleSource(transform=rule, signals=signals.channels),
+        source=SampleSource(transform=rule, signals=signals.channels, lift=lift),
         isolation=IndependentRule(_SMOOTHING_S),
         alarms=tuple(Calibrated(alarm, None) for alarm in alarms),
         effectiveness=reading,

@@ -146,7 +146,7 @@ def _by_phase(batches: Iterable[Batch]) -> Iterator[tuple[Batch, FlightPhase]]:
 
 def _matters(phase: FlightPhase) -> tuple[object, ...]:
     """Return what decides which samples are evidence of a flight that is known to be healthy."""
-    return phase.armed, phase.landed, phase.airborne, phase.near_home
+    return phase.armed, phase.landed, phase.airborne, phase.near_home, phase.carried
 
 
 def phase_reports(batch: Batch) -> list[tuple[int, Message]]:

@@ -84,12 +84,16 @@ MOTION_MESSAGES = frozenset({MOTOR_MESSAGE, "ATTITUDE", "ATTITUDE_QUATERNION", "
 
 ESC_MESSAGES = tuple(f"ESC_TELEMETRY_{first}_TO_{first + 3}" for first in (1, 5, 9, 13))
 """What ArduPilot's speed controllers measure, four in a message. They carry no time: that of arrival stands in."""
+_PX4_VTOLS = (2, 3, 4)
+"""PX4's CA_AIRFRAME of standard VTOLs, those that tilt their rotors, and tailsitters."""
 _GPS_MESSAGE = "GPS_RAW_INT"
 _HEARTBEAT = "HEARTBEAT"
 _UNKNOWN = 65_535
 """MAVLink's value of an unknown speed or course, and the largest that a servo output can hold."""
 _PULSES_US = (800, 2200)
 """Pulses of servos and speed controllers, microseconds. Chosen: 1000 to 2000 with room for trims."""
+IDLE_US = 1050
+"""Chosen: an output that is not above 5 % of the range lifts no vehicle."""
 _MANY_VALUES = 8
 """A motor in flight takes more values; an output that is off, at idle, or switched between positions takes a few."""
 
@@ -98,9 +102,8 @@ _MANY_VALUES = 8
 class MotorOutput:
     """How one servo output moved while armed, in microseconds of pulses, or what a simulator sends."""
 
-    # mean and standard deviation
     mean: float
-    spread: float
+    running: float  # mean of its values above idle, if there are any
     # smallest and largest value, zero (no output) left out
     low: int
     high: int
@@ -131,6 +134,12 @@ class Survey:
     def idle(self) -> bool:
         """Whether the vehicle was never armed, or none of its outputs took as many values as a motor in flight does."""
         return self.never_armed or (bool(self.outputs) and not any(output.many for output in self.outputs.values()))
+
+    @property
+    def is_vtol(self) -> bool:
+        """Whether it has rotors and wings, as it says itself or by its parameters."""
+        by_type = any("vtol" in name for name in self.vehicle_types)
+        return by_type or self.parameters.get("Q_ENABLE", 0) > 0 or self.parameters.get("CA_AIRFRAME") in _PX4_VTOLS
 
 
 def survey(batches: Iterable[Batch]) -> Survey:
@@ -294,19 +303,18 @@ class _State:
 
 
 class _Tally:
-    """Sums over one output's values."""
+    """How many values one output had and their sum: of all, and of those above idle."""
 
     def __init__(self) -> None:
-        self.total = [0.0, 0.0, 0.0]
+        self.total, self.above = (0, 0), (0, 0)
         self.low, self.high, self.outside = _UNKNOWN, 0, 0
         self.values: set[int] = set()
 
     def add(self, pulses: NDArray[np.int64]) -> None:
         """Count values (m,)."""
-        self.total = [
-            now + float(more)
-            for now, more in zip(self.total, (len(pulses), pulses.sum(), (pulses**2).sum()), strict=True)
-        ]
+        above = pulses[pulses > IDLE_US]
+        self.total = self.total[0] + len(pulses), self.total[1] + int(pulses.sum())
+        self.above = self.above[0] + len(above), self.above[1] + int(above.sum())
         self.low, self.high = min(self.low, int(pulses.min())), max(self.high, int(pulses.max()))
         self.outside += int(np.count_nonzero((pulses < _PULSES_US[0]) | (pulses > _PULSES_US[1])))
         if len(self.values) < _MANY_VALUES:
@@ -314,10 +322,9 @@ class _Tally:
 
     def output(self) -> MotorOutput:
         """Return how the output moved."""
-        count, total, square = self.total
-        spread = max(0.0, square / count - (total / count) ** 2) ** 0.5
-        many = len(self.values) >= _MANY_VALUES
-        return MotorOutput(total / count, spread, self.low, self.high, self.outside / count, many)
+        (count, total), (above, above_sum) = self.total, self.above
+        many, running = len(self.values) >= _MANY_VALUES, above_sum / (above or 1)
+        return MotorOutput(total / count, running, self.low, self.high, self.outside / count, many)
 
 
 def of_one_vehicle(batches: Iterable[Batch], names: Collection[str] = MOTION_MESSAGES) -> Iterator[Batch]:

@@ -2,8 +2,9 @@
 
 Rules, in order: a vehicle known to be disarmed is not watched; where the vehicle reports its landed state, only
 "in the air" counts, and "landing" while it is still high; where it does not, a mean command of at least
-``airborne_command`` takes its place; if that is zero, a height that is not its home's. Samples in which all of a
-multirotor's sensors stand still do not count either: what sends them is frozen. Each time the rules come to hold,
+``airborne_command`` takes its place; if that is zero, a height that is not its home's. A vehicle of rotors and wings
+has to be carried by those that an observer watches. Samples in which all of a multirotor's sensors stand still do not
+count either: what sends them is frozen. Each time the rules come to hold,
 ``settle_s`` of vehicle time passes before evidence counts. When the reported flight phase comes to allow evidence, the
 samples restart: the estimates made on the ground, before the first fix of the GPS or while the vehicle was carried
 about, are forgotten.
@@ -24,7 +25,7 @@ from monitor.core.sampling import Settling, VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler
 from monitor.sampling.supply import Supply, SupplyRule
-from monitor.sampling.transform import SampleSource, make_transform
+from monitor.sampling.transform import LiftRule, SampleSource, make_transform
 
 _DRIVEN_SAMPLES = 3
 """Samples with commands of flight that say that it flies. Of 44 flights over all links commands fall with the report
@@ -58,20 +59,24 @@ class FlightGate:
     """Says which samples are evidence; keeps since when the rules hold.
 
     ``by_command`` says whether the mean command ever had to tell that the vehicle flies. Without ``commands`` the
-    inputs are none, so their mean does not tell it.
+    inputs are none, so their mean does not tell it. ``carried`` says whether what is watched carried the vehicle alone
+    in the latest samples.
     """
 
-    def __init__(self, rule: GateRule, commands: bool = True) -> None:
+    def __init__(self, rule: GateRule, commands: bool = True, lift: LiftRule | None = None) -> None:
         # commands of flight are known of multirotors alone; their gyros and accelerometers vibrate in flight
         self._rule, self._commands = rule, commands and rule.airborne_command > 0.0
         self._settling = Settling(rule.settle_s, self._commands)
         self._driven: int | None = None
         self.by_command = False
+        self._lift = lift
+        self._least = lift.least_command if lift is not None and commands and lift.least_command > 0.0 else None
+        self.carried = True
 
     @property
     def idle(self) -> int:
         """The last row of the latest samples with a mean command too small for flight; -1 where there was none."""
-        return self._settling.idle
+        return self._settling.idle if self.by_command else -1
 
     @property
     def airborne(self) -> bool | None:
@@ -98,7 +103,12 @@ class FlightGate:
             # A command that was lost is none that was low.
             low = samples.measured & ~flight & np.isfinite(samples.u).all(axis=1)
             self._driven = -1 if low.any() else self._driven + int(np.count_nonzero(samples.measured & flight))
-        return self._settling.run(samples, allows(rule, phase), rule.airborne_command if by_command else None)
+        lift = self._lift
+        self.carried = lift is None or phase.carried in (None, lift.by)
+        least = rule.airborne_command if by_command else self._least
+        admitted = self._settling.run(samples, self.carried and allows(rule, phase), least)
+        self.carried &= self._least is None or self._settling.commanded
+        return admitted
 
 
 class GatedSamples(NamedTuple):
@@ -133,7 +143,7 @@ class GatedSampler:
             self._transform = make_transform(source.transform, rate_hz)
             self._size = round(source.transform.rate_hz / rate_hz)
         self._kept: list[Samples] = []
-        self.gate = FlightGate(rule, commands and source.transform is None)
+        self.gate = FlightGate(rule, commands and source.transform is None, source.lift)
         self._rule = rule
         self._allowed = False
         self._supply = None if supply is None else Supply(supply)

@@ -27,6 +27,10 @@ from monitor.sampling.identity import Identity, Reports
 
 Landed = Literal["ground", "air", "takeoff", "landing"]
 
+Carried = Literal["rotors", "wings", "both"]
+
+# The values of MAV_VTOL_STATE; in transitions both may carry the vehicle.
+_CARRIED: dict[int, Carried] = {1: "both", 2: "both", 3: "rotors", 4: "wings"}
 # The values of MAV_LANDED_STATE.
 _LANDED: dict[int, Landed] = {1: "ground", 2: "air", 3: "takeoff", 4: "landing"}
 CONTESTED = {
@@ -115,8 +119,9 @@ class FlightPhase:
     Of another vehicle than the one that the profile was ``fitted`` to no samples are evidence. ``reports`` are what the
     vehicle has said of itself; ``contradiction`` says that it is another, None where nothing does; ``contested`` names
     the messages that two senders answer by turns. It is ``driven`` where it is taken to fly although it reports that it
-    does not, for its commands are those of flight; ``logged`` where the reports are those of its own log. ``interests``
-    names the messages it reads.
+    does not, for its commands are those of flight; ``logged`` where the reports are those of its own log. ``carried``
+    is what a vehicle with rotors and wings says to fly on, None where it does not say. ``interests`` names the messages
+    it reads.
     """
 
     interests: ClassVar[frozenset[str]] = Reports.interests | {"EXTENDED_SYS_STATE", "GLOBAL_POSITION_INT"}
@@ -127,6 +132,7 @@ class FlightPhase:
         self._has_been = (False, False)  # armed, in the air
         self.driven = False
         self.logged = False
+        self.carried: Carried | None = None
         self.reports = Reports()
         self.contradiction: str | None = None
         self.contested: tuple[str, ...] = ()
@@ -168,7 +174,8 @@ class FlightPhase:
     def state(self) -> tuple[object, ...]:
         """All that decides something now; what else is remembered may change without a consequence."""
         landing_high = self._landed == "landing" and self._high_ns is not None
-        return self._armed, self._landed, landing_high, self.near_home, self.reports, self.contradiction, self.contested
+        flies = self._armed, self._landed, landing_high, self.near_home, self.carried
+        return *flies, self.reports, self.contradiction, self.contested
 
     def copy(self) -> FlightPhase:
         """Return a phase of its own with the same state."""
@@ -203,8 +210,9 @@ class FlightPhase:
         if message.source is not MAVLINK:
             return
         if message.name == "EXTENDED_SYS_STATE":
-            state = message.fields.get("landed_state")
+            state, on = message.fields.get("landed_state"), message.fields.get("vtol_state")
             self._landed = _LANDED.get(state) if isinstance(state, int) else None
+            self.carried = _CARRIED.get(on) if isinstance(on, int) else None
             if not self.logged:
                 self._landings = self._landings.after(now_ns, self._landed)
             if self._high_ns is not None and not 0 <= now_ns - self._high_ns < _RECENT_NS:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
@@ -48,6 +48,14 @@ class TransformRule:
 
 
 @dataclass(frozen=True, slots=True)
+class LiftRule:
+    """What has to carry a vehicle of rotors and wings, alone, where its samples are evidence."""
+
+    by: Literal["rotors", "wings"]
+    least_command: float = 0.0  # mean command from which it may be the rotors; 0: not looked at
+
+
+@dataclass(frozen=True, slots=True)
 class SampleSource:
     """Where (u, y) come from."""
 
@@ -58,6 +66,7 @@ class SampleSource:
     signals: tuple[Channel, ...] = ()  # channels of the transform's raw signals, in its order
     # messages per second in the fitted flights, of those that are no measurements where they come far more seldom
     fitted_hz: Mapping[str, float] = field(default_factory=dict)
+    lift: LiftRule | None = None  # None where it has not both, or is watched whatever carries it
 
     @property
     def channels(self) -> tuple[Channel, ...]:

@@ -39,6 +39,7 @@ export function whyNot(word) {
     on_ground: "on the ground",
     gap: "telemetry has a gap",
     settling: "settling",
+    not_carried: "what it watches does not carry the vehicle alone",
     clock: "the vehicle's clock jumps",
     contradicted: "telemetry contradicts itself",
     outside_envelope: "outside of what was learned",

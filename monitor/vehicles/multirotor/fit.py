@@ -53,7 +53,7 @@ from monitor.fitting.thresholds import (
 from monitor.profile import FaultChannel, ObserverProfile
 from monitor.sampling.gate import GateRule
 from monitor.sampling.supply import BATTERY_MESSAGE, SupplyRule
-from monitor.sampling.transform import SampleSource
+from monitor.sampling.transform import LiftRule, SampleSource
 from monitor.vehicles.multirotor.flight_motors import motor_agreement
 from monitor.vehicles.multirotor.frames import Frame, frame_of
 from monitor.vehicles.multirotor.identify import (
@@ -64,7 +64,7 @@ from monitor.vehicles.multirotor.identify import (
     identify_multirotor,
     multirotor_plant,
 )
-from monitor.vehicles.multirotor.signals import motor_commands, multirotor_channels, range_text
+from monitor.vehicles.multirotor.signals import hover_pulse, motor_commands, multirotor_channels, range_text
 from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds
 from monitor.vehicles.multirotor.trim import (
     COMMANDS_PER_TICK,
@@ -141,6 +141,9 @@ alone is measured (docs/rates.md)."""
 _AIRBORNE_SHARE = 0.5
 """Share of the mean command, which is that of hovering. Chosen: motors idle far below half of it, descents stay
 above."""
+_CARRYING_SHARE = 0.8
+"""Share of the mean command above which rotors carry a vehicle that has wings, too. Measured on a simulated VTOL:
+hover in gusts stays above, and back from forward flight they come to it below 9 m/s."""
 _BRIDGED_S = 0.5
 """Breaks in the evidence that identification bridges. Chosen: over a shorter one the commands, on a straight line, tell
 what the body rates do; after a longer one they begin anew."""
@@ -171,12 +174,23 @@ and PX4's logs, PX4's link: 6e-6 to 1.4e-4, 7e-3 to 1.8e-2)."""
 
 
 def multirotor_gate(surveys: Sequence[Survey]) -> GateRule:
-    """Return when a multirotor's samples are evidence: in the air, by half the mean command if it does not say."""
+    """Return when a multirotor's samples are evidence: in the air, by half the mean command if it does not say.
+
+    Of one with wings, low commands do not tell that it has landed.
+    """
+    winged = any(survey.is_vtol for survey in surveys)
+    return GateRule(settle_s=SETTLE_S, airborne_command=0.0 if winged else _AIRBORNE_SHARE * _hover_command(surveys))
+
+
+def _hover_command(surveys: Sequence[Survey]) -> float:
     inputs, _ = multirotor_channels(surveys)
-    numbers = [int(channel.name.removeprefix("motor")) for channel in inputs]
-    pulses = [survey.outputs[number].mean for survey in surveys for number in numbers]
-    mean = float(np.mean([inputs[0].scale * pulse + inputs[0].offset for pulse in pulses]))
-    return GateRule(settle_s=SETTLE_S, airborne_command=_AIRBORNE_SHARE * mean)
+    return inputs[0].scale * hover_pulse(surveys, motor_commands(surveys)) + inputs[0].offset
+
+
+def _lift(surveys: Sequence[Survey]) -> LiftRule | None:
+    """Return that a vehicle with wings has to be carried by its rotors."""
+    winged = any(survey.is_vtol for survey in surveys)
+    return LiftRule("rotors", float(f"{_CARRYING_SHARE * _hover_command(surveys):.3g}")) if winged else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -339,7 +353,7 @@ def _check_watched(motors: Sequence[str], hover: Sequence[float], alarms: Sequen
 
 def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[Channel]) -> _Identified:
     """Identify how the body rates answer the commands, sample by sample; their means where no manoeuvre tells that."""
-    source = SampleSource(drive.inputs, tuple(outputs))
+    source = SampleSource(drive.inputs, tuple(outputs), lift=_lift(request.surveys))
     fastest_hz = common_rate_hz(request.surveys, source.channels)
     rate_hz = request.grid_hz(min(fastest_hz, _ENOUGH_HZ))
     flights = [flight_samples(log(), source, rate_hz, gate, drive.supply) for log in request.logs]
@@ -411,7 +425,8 @@ def _slow(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
     why = "beside the faster observer" if drive.observer == TRIM else why
     commands_hz = min(commands_hz, _CALM_HZ) if calm else commands_hz
     rates = tuple(outputs[: len(RATE_AXES)])
-    source = SampleSource(tuple(replace(channel, interpolation="mean") for channel in drive.inputs), rates)
+    lift = _lift(request.surveys)
+    source = SampleSource(tuple(replace(channel, interpolation="mean") for channel in drive.inputs), rates, lift=lift)
     rate_hz = request.grid_hz(
         min(float(f"{commands_hz / COMMANDS_PER_TICK:.3g}"), common_rate_hz(request.surveys, rates))
     )
@@ -458,7 +473,8 @@ def _frame(request: FitRequest, gate: GateRule, drive: _Drive, rates: Sequence[C
     """
     if (frame := _frame_of(request, drive)) is not None:
         return frame, "the vehicle's parameters"
-    source = SampleSource(tuple(replace(channel, interpolation="previous") for channel in drive.inputs), tuple(rates))
+    inputs = tuple(replace(channel, interpolation="previous") for channel in drive.inputs)
+    source = SampleSource(inputs, tuple(rates), lift=_lift(request.surveys))
     rate_hz = min(common_rate_hz(request.surveys, rates), SLOW_COMMANDS_HZ)
     segments = [
         segment
@@ -468,9 +484,9 @@ def _frame(request: FitRequest, gate: GateRule, drive: _Drive, rates: Sequence[C
     frame = choose_frame(segments, rate_hz)
     if frame is None:
         raise UntoldError(
-            f"which way its {len(drive.inputs)} motors turn the vehicle is not known: no parameters in the logs "
-            "(CA_ROTOR* of PX4, FRAME_CLASS of ArduPilot), and no standard frame goes with the motion; fit on a log of "
-            "the autopilot itself, or on a flight with brisk roll, pitch and yaw"
+            f"which way its {len(drive.inputs)} motors turn the vehicle is not known: no parameters in the logs say it "
+            "(CA_ROTOR* of PX4, FRAME_CLASS or Q_FRAME_CLASS of ArduPilot), and no standard frame fits the motion; "
+            "fit on a log of the autopilot itself, or on a flight with brisk roll, pitch and yaw"
         )
     return frame, "the motion"
 

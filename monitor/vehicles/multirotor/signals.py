@@ -11,6 +11,7 @@ from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from monitor.fitting.survey import (
     ESC_MESSAGES,
+    IDLE_US,
     MAX_OUTPUTS,
     MOTION_MESSAGES,
     MOTOR_MESSAGE,
@@ -21,7 +22,7 @@ from monitor.fitting.survey import (
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.supply import BATTERY_MESSAGE, CELLS_MESSAGE
 from monitor.vehicles.base import Preview
-from monitor.vehicles.multirotor.frames import frame_of
+from monitor.vehicles.multirotor.frames import frame_of, lifting_outputs
 from monitor.vehicles.multirotor.speeds import esc_signals
 from monitor.vehicles.multirotor.trim import SLOW_COMMANDS_HZ
 
@@ -32,8 +33,6 @@ MESSAGES = (
     | {"ESC_STATUS", *ESC_MESSAGES, "VIBRATION", BATTERY_MESSAGE, CELLS_MESSAGE}
 )
 
-_IDLE_US = 1050.0
-"""Chosen: an output whose mean is not above 5 % of the range lifts no vehicle."""
 _FEW_OUTSIDE = 0.01
 """Share of values that no pulse has from which on an output holds no pulses: fewer may be lost or damaged packets."""
 _PULSE_RANGE = (1000.0, 2000.0)
@@ -117,8 +116,7 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
     commands = motor_commands(surveys)
     span = commands.full - commands.stop
     scale, offset = (0.001, -1.0) if commands.pulses else (1.0 / span, -commands.stop / span)
-    means = [survey.outputs[number].mean for survey in surveys for number in commands.motors]
-    usual = float(f"{scale * sum(means) / len(means) + offset:.3g}")
+    usual = float(f"{scale * hover_pulse(surveys, commands) + offset:.3g}")
     inputs = tuple(
         Channel(
             f"motor{number}",
@@ -171,10 +169,17 @@ def battery_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...], fl
     return channels, rates[message]
 
 
+def hover_pulse(surveys: Sequence[Survey], commands: CommandRange) -> float:
+    """Return the mean of the motors' values while armed; where wings fly the vehicle at times, of those above idle."""
+    outputs = [(survey.outputs[number], survey.is_vtol) for survey in surveys for number in commands.motors]
+    return sum(output.running if winged else output.mean for output, winged in outputs) / len(outputs)
+
+
 def motor_commands(surveys: Sequence[Survey]) -> CommandRange:
     """Find the outputs that are motors, and the range of their commands.
 
-    Pulses above idle that moved while armed are motors, from 1000 to 2000 microseconds. Simulators send speeds of the
+    Outputs that move and, by the vehicle's parameters, drive motors that lift are those, from 1000 to 2000
+    microseconds. Without parameters pulses above idle that moved while armed are motors. Simulators send speeds of the
     speed controllers in place of pulses, logs of some autopilots DShot values: where fewer than three
     pulses move, those outputs are motors whose values are no pulses and many in every log, and of about the same mean.
     Within 150 to 1000 they are taken for those of PX4 with Gazebo, which has that range. Else zero is no command, and
@@ -183,9 +188,16 @@ def motor_commands(surveys: Sequence[Survey]) -> CommandRange:
     Raises
     ------
     TelemetryError
-        Fewer than three move; the text says what each output did.
+        Fewer than three move; the text says what each output did. Or it has rotors and wings, and nothing tells which
+        outputs are which.
     """
-    pulses = _in_every_log(surveys, _moves_as_pulse)
+    lifting = (lifting_outputs(found.parameters, "tricopter" in found.vehicle_types) for found in surveys)
+    rotors: frozenset[int] = next(filter(None, lifting), frozenset())
+    moving = _in_every_log(surveys, lambda output: output.running > 0.0 and output.many)
+    pulses = [number for number in moving if number in rotors]
+    if len(pulses) < _FEWEST_MOTORS:
+        _check_rotors(surveys)
+        pulses = _in_every_log(surveys, _moves_as_pulse)
     if len(set(pulses).difference(_in_every_log(surveys, _is_no_pulse))) >= _FEWEST_MOTORS:
         return CommandRange(tuple(pulses), *_PULSE_RANGE)
     moving = _in_every_log(surveys, lambda output: output.many and _is_no_pulse(output))
@@ -208,6 +220,16 @@ def motor_commands(surveys: Sequence[Survey]) -> CommandRange:
     return CommandRange(tuple(moving), *(_GAZEBO_RANGE if known else (0.0, _rounded_up(high))))
 
 
+def _check_rotors(surveys: Sequence[Survey]) -> None:
+    """Refuse a vehicle with wings where no parameter tells which outputs are its rotors."""
+    if any(survey.is_vtol for survey in surveys):
+        raise TelemetryError(
+            "the vehicle has rotors and wings, and no three outputs are known to drive motors that lift, by its "
+            "parameters (SERVO*_FUNCTION of ArduPilot, PWM_MAIN_FUNC* of PX4) if a log holds them; --vehicle inertial "
+            "watches its sensors"
+        )
+
+
 def range_text(commands: CommandRange, surveys: Sequence[Survey]) -> str:
     """Return, for people, what was taken as the range of commands that are no pulses."""
     low, high = _extremes(surveys, commands.motors)
@@ -223,7 +245,7 @@ def _in_every_log(surveys: Sequence[Survey], moves: Callable[[MotorOutput], bool
 
 
 def _moves_as_pulse(output: MotorOutput) -> bool:
-    return output.many and output.mean > _IDLE_US
+    return output.many and output.mean > IDLE_US
 
 
 def _extremes(surveys: Sequence[Survey], numbers: Sequence[int]) -> tuple[int, int]:
@@ -232,7 +254,7 @@ def _extremes(surveys: Sequence[Survey], numbers: Sequence[int]) -> tuple[int, i
 
 
 def _is_no_pulse(output: MotorOutput) -> bool:
-    return output.outside > _FEW_OUTSIDE or output.high <= _IDLE_US
+    return output.outside > _FEW_OUTSIDE or output.high <= IDLE_US
 
 
 def _seen(surveys: Sequence[Survey], number: int) -> str:
