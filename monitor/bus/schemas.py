@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 from adapters.errors import UsageError
 from monitor.event import ALARM_FIELDS, AlarmField
 
 _DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-_BY_NAME = {"type": "object", "additionalProperties": {"type": ["number", "null"]}}
 _COUNT = {"type": "integer", "minimum": 0}
 _AMOUNT = {"type": "number", "minimum": 0}
 _PERHAPS = {"type": ["number", "null"], "minimum": 0}
@@ -20,14 +20,27 @@ def _object(
     title: str, description: str, required: dict[str, Any], optional: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return the schema of an object that may have further properties: readers have to ignore what they do not know."""
-    return {
-        **_DIALECT,
-        "title": f"fauio.{title}",
-        "description": description,
-        "type": "object",
-        "properties": required | (optional or {}),
-        "required": list(required),
-    }
+    head = {**_DIALECT, "title": f"fauio.{title}", "description": description}
+    return head | _part(required | (optional or {}), list(required))
+
+
+def _part(properties: dict[str, Any], required: Sequence[str] | None = None, **more: Any) -> dict[str, Any]:
+    """Return the schema of an object in another; all of its properties are required unless some are named."""
+    needed = list(properties if required is None else required)
+    return {"type": "object", "properties": properties, "required": needed, **more}
+
+
+def _by(values: dict[str, Any], description: str | None = None) -> dict[str, Any]:
+    """Return the schema of an object whose keys are names."""
+    found = {"type": "object", "additionalProperties": values}
+    return found if description is None else found | {"description": description}
+
+
+def _list_of(items: dict[str, Any], description: str) -> dict[str, Any]:
+    return {"type": "array", "items": items, "description": description}
+
+
+_BY_NAME = _by({"type": ["number", "null"]})
 
 
 def _alarm_field(field: AlarmField) -> dict[str, Any]:
@@ -63,28 +76,22 @@ _ESTIMATE = _object(
     },
 )
 
-_LINK = {
-    "type": "object",
-    "properties": {
+_LINK = _part(
+    {
         "connected": {"type": "boolean"},
         "messages": _COUNT | {"description": "messages received since the start, of all vehicles"},
-        "losses": {
-            "type": "object",
-            "additionalProperties": _COUNT,
-            "description": "what was lost on the link or refused, by reason, as in fauio_link_losses_total",
-        },
+        "losses": _by(_COUNT, "what was lost on the link or refused, by reason, as in fauio_link_losses_total"),
         "delay_s": _PERHAPS
         | {"description": "mean time by which messages of the last minute were later than the quickest"},
         "jitter_s": _PERHAPS | {"description": "mean change of that from one message of a kind to the next"},
         "lost_share": _PERHAPS | {"description": "share of the last minute's packets that was lost"},
     },
-    "required": ["connected", "messages", "losses"],
-}
+    ["connected", "messages", "losses"],
+)
 
 _EVIDENCE_TIME = {"type": ["integer", "null"], "description": "Unix time of its last evidence, nanoseconds; null: none"}
-_WATCHING = {
-    "type": "object",
-    "properties": {
+_WATCHING = _part(
+    {
         "share": _AMOUNT | {"maximum": 1, "description": "of the last minute of vehicle time, with evidence"},
         "last_ns": _EVIDENCE_TIME,
         "why_not": {
@@ -92,63 +99,44 @@ _WATCHING = {
             "description": "what keeps it from having evidence: on_ground, gap, settling, clock, not_carried, "
             "contradicted or no_message NAME; null where nothing does",
         },
-        "sensors": {"type": "object", "additionalProperties": _EVIDENCE_TIME},
-    },
-    "required": ["share", "last_ns", "why_not", "sensors"],
-}
+        "sensors": _by(_EVIDENCE_TIME),
+    }
+)
 
-_CHANNELS = {
-    "type": "object",
-    "additionalProperties": {
-        "type": "object",
-        "additionalProperties": {
-            "type": "object",
-            "properties": {
-                "threshold": _PERHAPS,
-                "unit": {"type": "string"},
-                "usual_command": _PERHAPS | {"description": "of a motor in hover; what it lost is a share of it"},
-            },
-            "required": ["threshold", "unit"],
-        },
+_CHANNEL = _part(
+    {
+        "threshold": _PERHAPS,
+        "unit": {"type": "string"},
+        "usual_command": _PERHAPS | {"description": "of a motor in hover; what it lost is a share of it"},
     },
-    "description": "thresholds and units of the fault channels by observer",
-}
+    ["threshold", "unit"],
+)
+_CHANNELS = _by(_by(_CHANNEL), "thresholds and units of the fault channels by observer")
 _PLACE = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
 """Latitude, longitude and altitude."""
-_FACTS = {
-    "type": "object",
-    "properties": {
-        "heartbeat": {"type": "object", "additionalProperties": _COUNT, "description": "its last one: mode, armed"},
+_CONDITION = _part(
+    {
+        "name": {"enum": ["payload", "wind", "pressure"]},
+        "kind": {"const": "information"},
+        "since_ns": _TIME,
+        "text": {"type": "string"},
+        "values": _by({"type": "number"}),
+    }
+)
+_FACTS = _part(
+    {
+        "heartbeat": _by(_COUNT, "its last one: mode, armed"),
         "position": _PLACE | {"description": "as the autopilot estimates it: degrees north, degrees east, metres"},
         "gps": _PLACE | {"description": "as the receiver says it"},
-        "texts": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {"time_ns": _TIME, "severity": _COUNT, "text": {"type": "string"}},
-                "required": ["time_ns", "severity", "text"],
-            },
-            "description": "the last messages of the autopilot",
-        },
-        "conditions": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "properties": {
-                    "name": {"enum": ["payload", "wind", "pressure"]},
-                    "kind": {"const": "information"},
-                    "since_ns": _TIME,
-                    "text": {"type": "string"},
-                    "values": {"type": "object", "additionalProperties": {"type": "number"}},
-                },
-                "required": ["name", "kind", "since_ns", "text", "values"],
-            },
-            "description": "the last of each kind that was seen and is no fault",
-        },
+        "texts": _list_of(
+            _part({"time_ns": _TIME, "severity": _COUNT, "text": {"type": "string"}}),
+            "the last messages of the autopilot",
+        ),
+        "conditions": _list_of(_CONDITION, "the last of each kind that was seen and is no fault"),
     },
-    "required": ["texts"],
-    "description": "what the vehicle last said about itself, and what is no fault",
-}
+    ["texts"],
+    description="what the vehicle last said about itself, and what is no fault",
+)
 
 _STATUS = _object(
     "Status",
@@ -165,25 +153,13 @@ _STATUS = _object(
         "samples": _COUNT | {"description": "samples since the start"},
         "samples_per_s": _AMOUNT,
         "lost": _COUNT | {"description": "packets of the vehicle missing by their sequence numbers, over all links"},
-        "links": {
-            "type": "object",
-            "additionalProperties": _LINK,
-            "description": "the links that its telemetry may come over, by URL or key expression",
-        },
+        "links": _by(_LINK, "the links that its telemetry may come over, by URL or key expression"),
         "latency_ms": {"type": "number", "description": "longest time from arrival to result in the last second"},
         "active_alarms": _COUNT,
-        "watching": {
-            "type": "object",
-            "additionalProperties": _WATCHING,
-            "description": "how each observer watches now",
-        },
-        "observers": {
-            "type": "object",
-            "additionalProperties": {"type": "object"},
-            "description": "counts of each observer",
-        },
+        "watching": _by(_WATCHING, "how each observer watches now"),
+        "observers": _by({"type": "object"}, "counts of each observer"),
         "profile": {"type": "string", "description": "digest of the profile"},
-        "versions": {"type": "object", "additionalProperties": {"type": "string"}},
+        "versions": _by({"type": "string"}),
     },
     {
         "foreign_messages": _COUNT | {"description": "messages of other stations, ignored"},
