@@ -112,17 +112,15 @@ class FaultChannel(NamedTuple):
     input: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class ObserverProfile:
-    """One observer of the profile: gains, where its channels come from, and its alarms."""
+@dataclass(frozen=True, slots=True, eq=False)
+class ObserverSetup:
+    """What an observer is made of, as it is fitted and as a profile keeps it."""
 
     name: str  # the observer's name
     # Its gains; those of each hypothesis where it is a bank. All share inputs, outputs, states and rate.
     gains: tuple[Gains, ...]
-    faults: tuple[FaultChannel, ...]  # all fault channels, actuators first
     source: SampleSource  # where u and y come from
     isolation: IsolationRule  # how estimates become evidence
-    alarms: tuple[AlarmRule, ...]  # what raises alarms
     # wait before its samples are evidence, seconds, where that is longer than the gate's; 0: as long as its gains take
     # to forget a wrong start (:mod:`monitor.estimation.affine`)
     settle_s: float = 0.0
@@ -140,6 +138,14 @@ class ObserverProfile:
     spread: Mapping[str, float] = field(default_factory=dict)
     # how commands act with the battery's voltage; None: they do not, or it is not known
     supply: SupplyRule | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObserverProfile(ObserverSetup):
+    """One observer of the profile: gains, where its channels come from, and its alarms."""
+
+    faults: tuple[FaultChannel, ...]  # all fault channels, actuators first
+    alarms: tuple[AlarmRule, ...]  # what raises alarms
     # the model the gains were designed for; without one the uncertainty of the estimates is not known
     model: Plant | None = None
 
@@ -271,25 +277,16 @@ def observer_table(observer: ObserverProfile, sees: Mapping[str, str] = MappingP
     return table
 
 
+_PATHS = ("fast", "fast_s"), ("slow", "slow_s"), ("lasting", "lasting_s"), ("nats", "least")
+"""Keys of a path that an alarm need not have: the size, infinite where it has not, and what goes with it."""
+
+
 def _alarm_table(rule: AlarmRule, sees: str | None) -> dict[str, float | str]:
-    table: dict[str, float | str] = {
-        key: getattr(rule, key) for key in ("threshold", "clear", "critical", "raise_s", "clear_s")
-    }
-    if rule.fast < math.inf:
-        table |= {"fast": rule.fast, "fast_s": rule.fast_s}
-    if rule.slow < math.inf:
-        table |= {"slow": rule.slow, "slow_s": rule.slow_s}
-    if rule.lasting < math.inf:
-        table |= {"lasting": rule.lasting, "lasting_s": rule.lasting_s}
-    if rule.nats < math.inf:
-        table |= {"nats": rule.nats, "least": rule.least}
-    table |= {key: getattr(rule, key) for key in ("smallest", "healthy", "latch_s") if getattr(rule, key)}
-    for key in MEASURED:
-        if getattr(rule, key) is not None:
-            table[key] = getattr(rule, key)
-    if sees:
-        table["sees"] = sees
-    return table
+    keys = ["threshold", "clear", "critical", "raise_s", "clear_s"]
+    keys += [key for path in _PATHS if getattr(rule, path[0]) < math.inf for key in path]
+    keys += [key for key in ("smallest", "healthy", "latch_s") if getattr(rule, key)]
+    keys += [key for key in MEASURED if getattr(rule, key) is not None]
+    return {key: getattr(rule, key) for key in keys} | ({"sees": sees} if sees else {})
 
 
 def profile_table(

@@ -80,7 +80,8 @@ def bare_observer(
     """Return an observer of such a plant that has no alarms yet, and its samples in healthy flights."""
     gains = compile_gains(plant, design, certify(plant, design))
     flight_s = sum(len(flight.evidence) for flight in flights) / gains.rate_hz
-    return Fitted(observer, plant, (gains,), source, IndependentRule(1.0 / gains.rate_hz), flight_s=flight_s)
+    isolation = IndependentRule(1.0 / gains.rate_hz)
+    return Fitted(observer, (gains,), source, isolation, plant=plant, flight_s=flight_s)
 
 
 def pooled_alarms(

@@ -14,22 +14,16 @@ from adapters.batch import Batch, memory_bytes
 from adapters.errors import UsageError
 from gains.plants.model_file import write_model
 from gains.plants.plant import Plant
-from gains.synthesis.gains_file import Gains, write_gains
+from gains.synthesis.gains_file import write_gains
 from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule
-from monitor.estimation.changes import ChangeRule
-from monitor.estimation.effectiveness import EffectivenessRule
-from monitor.estimation.envelope import Envelope
-from monitor.estimation.excitation import ExcitationRule
-from monitor.estimation.isolation_rule import BankRule, IsolationRule, gains_file_names
+from monitor.estimation.isolation_rule import BankRule, gains_file_names
 from monitor.fitting.agreement import Agreement
 from monitor.fitting.capability import Capability, capability_text
 from monitor.fitting.fit_report import Comparison
 from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import Calibrated, Times, calibrated, healthy_levels, plain_only
-from monitor.profile import UNEXPLAINED, ObserverProfile, fault_channels, observer_table
-from monitor.sampling.supply import SupplyRule
-from monitor.sampling.transform import SampleSource
+from monitor.profile import UNEXPLAINED, ObserverProfile, ObserverSetup, fault_channels, observer_table
 
 BatchSource = Callable[[], Iterable[Batch]]
 """A recording; each call goes through it once from its start."""
@@ -114,29 +108,15 @@ class FitRequest:
         return tuple(self.log_names) or tuple(f"recording {number}" for number in range(1, len(self.logs) + 1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Fitted(ObserverSetup):
     """A fitted observer."""
 
-    name: str
     plant: Plant  # the identified model
-    gains: tuple[Gains, ...]  # those of each hypothesis for a bank
-    source: SampleSource  # where its samples come from
-    isolation: IsolationRule  # how estimates become evidence
     alarms: tuple[Calibrated, ...] = ()  # calibrated alarm rules
-    # how the estimates of faults that scale a deflection are read, by fault
-    effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
-    changes: ChangeRule | None = None  # how sudden changes are told from noise
-    excitation: ExcitationRule | None = None  # how its errors grow with what excites them
-    envelope: Envelope | None = None  # what its raw signals reached in healthy flight
-    reached: Mapping[str, float] = field(default_factory=dict)  # what its inputs and outputs reached, by name
-    # how many times the deviation of the design its estimates have in healthy flight, by fault
-    spread: Mapping[str, float] = field(default_factory=dict)
-    supply: SupplyRule | None = None  # how commands act with the battery's voltage
     flight_s: float = 0.0  # healthy flight it was fitted on, seconds
     findings: Mapping[str, Any] = field(default_factory=dict)  # what the identification found, for ``fit.json``
     lines: tuple[str, ...] = ()  # the same for people
-    settle_s: float = 0.0  # wait before its samples are evidence, seconds
     details: tuple[str, ...] = ()  # more for people, for ``fit.txt`` alone
     comparison: Comparison | None = None  # prediction against measurement on data kept back, for ``fit.png``
     measured: bool = False  # whether to measure on the recordings what will be detected
@@ -156,8 +136,8 @@ class Fitted:
 
     def profile(self) -> ObserverProfile:
         """Return the observer as it will be read from the profile."""
-        known = {key.name: getattr(self, key.name) for key in fields(ObserverProfile) if hasattr(self, key.name)}
-        return ObserverProfile(**known | {"faults": fault_channels(self.gains), "alarms": self.rules})
+        setup = {key.name: getattr(self, key.name) for key in fields(ObserverSetup)}
+        return ObserverProfile(**setup, faults=fault_channels(self.gains), alarms=self.rules)
 
     def table(self) -> dict[str, Any]:
         """Return the observer's part of profile.toml."""

@@ -95,7 +95,7 @@ def write_arm_profile(folder: Path) -> Profile:
             if name in thresholds
         ]
         source, faults = SampleSource(inputs, outputs), fault_channels((gains,))
-        observer = ObserverProfile(OBSERVER, (gains,), faults, source, isolation, tuple(alarms))
+        observer = ObserverProfile(OBSERVER, (gains,), source, isolation, faults=faults, alarms=tuple(alarms))
         observers = {OBSERVER: observer_table(observer)}
         content = profile_table(name="arm", vehicle="custom", gate=_GATE, observers=observers)
         write_file(folder / PROFILE_FILE, toml_text(content))

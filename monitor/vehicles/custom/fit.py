@@ -87,7 +87,7 @@ def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
     plant = fitted_plant(fit)
     gains, isolation = _design(plant, rate_hz, segments)
     flights = [flight_samples(log(), source, rate_hz, gate) for log in own]
-    bare = Fitted(plant.name, plant, gains, source, isolation)
+    bare = Fitted(plant.name, gains, source, isolation, plant=plant)
     gate = replace(gate, settle_s=max(gate.settle_s, measured_settling_s(bare.profile(), gate, flights)))
     flights = [flight_samples(log(), source, rate_hz, gate) for log in own]
     declared = {fault["name"] for fault in model.document.get("fault", ()) if "error" in fault}

@@ -252,7 +252,7 @@ def _designed(
         level_s=LEVEL_SHARE * _TIMES.slow_s,
     )
     source = SampleSource(transform=rule, signals=channels.channels)
-    designed = Fitted(OBSERVER, plant, gains, source, isolation, settle_s=settle_s)
+    designed = Fitted(OBSERVER, gains, source, isolation, settle_s=settle_s, plant=plant)
     own = healthy_evidence(designed.profile(), gate, flights, own=True)
     lasting = round(_JUMP.raise_s * rate_hz)
     jumps = [part[: max(0, len(part) - lasting)] for part in healthy_evidence(designed.profile(), gate, flights)]

@@ -273,7 +273,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     gains = compile_bank(plant, design_bank(plant, model.rate_hz, together=pairs_of(motors, model.B, slow=slow)))
     rule = bank_rule(gains, segments, edges=GYROS, level_s=LEVEL_SHARE * identified.times.slow_s)
     source = replace(identified.source, fitted_hz=fitted_rates(surveys, identified.source.channels))
-    bare = Fitted(drive.observer, plant, gains, source, rule, supply=drive.supply)
+    bare = Fitted(drive.observer, gains, source, rule, supply=drive.supply, plant=plant)
     channels = bare.profile().faults
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
     bare = replace(bare, excitation=_excitation(bare.profile(), gate, identified, hover))
