@@ -12,7 +12,7 @@ import logging
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from adapters.batch import Batch, pack
@@ -35,14 +35,14 @@ _MAX_LOGGED = 1000
 """Keys that are told about once each. Names come from the network: the list of them has to end."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ZenohLinkStatistics:
     """What came over a link so far."""
 
-    messages: int  # messages received
-    dropped: int  # samples dropped because the queue was full
-    oversized: int  # samples of more than :data:`MAX_PAYLOAD_BYTES`
-    malformed: int  # samples that are no JSON object, or not CDR of their type
+    messages: int = 0  # messages received
+    dropped: int = 0  # samples dropped because the queue was full
+    oversized: int = 0  # samples of more than :data:`MAX_PAYLOAD_BYTES`
+    malformed: int = 0  # samples that are no JSON object, or not CDR of their type
     undefined: int = 0  # samples in CDR whose type is not known, or has no definition
     connected: int = 0  # other Zenoh nodes (routers, peers) that the session is connected to now
     reconnections: int = 0  # how often the session found a node after it had lost all
@@ -72,8 +72,7 @@ class ZenohLink:
         self._arrived = threading.Condition()
         self._batch_s = batch_s
         self._due_s = 0.0
-        self._messages = self._dropped = self._oversized = self._malformed = 0
-        self._undefined = self._connected = self._reconnections = 0
+        self._counts = ZenohLinkStatistics()
         self._lost_all = False
         self._logged: set[str] = set()
         try:
@@ -87,13 +86,13 @@ class ZenohLink:
         size = len(sample.payload)
         with self._arrived:
             if size > MAX_PAYLOAD_BYTES:
-                self._oversized += 1
+                self._counts.oversized += 1
                 return
             self._queue.append((str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes(), received_ns))
             self._queued_bytes += size
             while len(self._queue) > _QUEUE or self._queued_bytes > _QUEUE_BYTES:
                 self._queued_bytes -= len(self._queue.popleft()[2])
-                self._dropped += 1
+                self._counts.dropped += 1
             self._arrived.notify()
 
     def _count_transport(self, event: zenoh.TransportEvent) -> None:
@@ -101,12 +100,12 @@ class ZenohLink:
 
         with self._arrived:
             if event.kind == zenoh.SampleKind.PUT:
-                self._connected += 1
-                self._reconnections += self._lost_all
+                self._counts.connected += 1
+                self._counts.reconnections += self._lost_all
                 self._lost_all = False
             else:
-                self._connected -= 1
-                self._lost_all = self._connected == 0
+                self._counts.connected -= 1
+                self._lost_all = self._counts.connected == 0
 
     def receive(self, timeout_s: float) -> Batch:
         """Return what has arrived once a batch is due; wait for the first sample at most ``timeout_s`` seconds."""
@@ -125,14 +124,14 @@ class ZenohLink:
             try:
                 name, fields = self._decoder.decode(key, encoding, payload)
             except UndefinedTypeError as error:
-                self._undefined += 1
+                self._counts.undefined += 1
                 self._say_once(key, error)
             except PayloadError as error:
-                self._malformed += 1
+                self._counts.malformed += 1
                 self._say_once(key, error)
             else:
                 messages.append(Message(ZENOH, name, received_ns, fields))
-        self._messages += len(messages)
+        self._counts.messages += len(messages)
         self._due_s = time.monotonic() + self._batch_s
         return pack(messages)
 
@@ -144,15 +143,7 @@ class ZenohLink:
 
     def statistics(self) -> ZenohLinkStatistics:
         """Return the counts so far."""
-        return ZenohLinkStatistics(
-            messages=self._messages,
-            dropped=self._dropped,
-            oversized=self._oversized,
-            malformed=self._malformed,
-            undefined=self._undefined,
-            connected=self._connected,
-            reconnections=self._reconnections,
-        )
+        return replace(self._counts)
 
     def close(self) -> None:
         """End the subscription."""

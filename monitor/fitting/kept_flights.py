@@ -199,6 +199,10 @@ def write_kept(
     return tuple(dropped)
 
 
+_OF_MESSAGE = ("name", "received_ns", "fields", "system", "component")
+"""What is kept of a message, but for its source, in the order of its fields."""
+
+
 def _flight_file(batch: Batch) -> bytes:
     """Return a batch as an .npz file without pickles: numbers as arrays, all else as JSON."""
     arrays: dict[str, Any] = {}
@@ -210,15 +214,8 @@ def _flight_file(batch: Batch) -> bytes:
         for place, values in enumerate(group.fields.values()):
             arrays[f"{number}.{place}"] = values
     others = [
-        {
-            "at": at,
-            "source": message.source.name,
-            "name": message.name,
-            "received_ns": message.received_ns,
-            "fields": dict(message.fields),
-            "system": message.system,
-            "component": message.component,
-        }
+        {key: getattr(message, key) for key in _OF_MESSAGE}
+        | {"at": at, "source": message.source.name, "fields": dict(message.fields)}
         for at, message in batch.others.items()
     ]
     about = json.dumps({"count": batch.count, "columns": columns, "others": others})
@@ -239,14 +236,7 @@ def _batch(arrays: Mapping[str, Any]) -> Batch:
             Columns(source, entry["name"], entry["system"], entry["component"], position, received_ns, fields)
         )
     others = {
-        entry["at"]: Message(
-            SOURCES[entry["source"]],
-            entry["name"],
-            entry["received_ns"],
-            entry["fields"],
-            entry["system"],
-            entry["component"],
-        )
+        entry["at"]: Message(SOURCES[entry["source"]], *(entry[key] for key in _OF_MESSAGE))
         for entry in about["others"]
     }
     return Batch(about["count"], tuple(columns), others)

@@ -19,7 +19,7 @@ from prometheus_client.metrics_core import (
 from prometheus_client.registry import Collector
 
 from monitor.event import Severity
-from monitor.service.health import ChannelHealth, Health, LinkHealth, VehicleHealth, VehicleState, problems
+from monitor.service.health import Health, LinkHealth, VehicleHealth, VehicleState, problems
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,16 +97,13 @@ class _Parts(NamedTuple):
         return MetricRow(name, self.labels if label is None else (*self.labels, label), about, values)
 
 
-def _states(vehicle: VehicleHealth) -> dict[str, float]:
-    return {state: float(vehicle.state == state) for state in get_args(VehicleState)}
+def _one_of(choices: Any, name: str) -> Callable[[Any], dict[str, float]]:
+    """Return what gives 1 for the choice that a part's attribute is, 0 for the others."""
+    return lambda part: {choice: float(getattr(part, name) == choice) for choice in get_args(choices)}
 
 
 def _active(vehicle: VehicleHealth) -> dict[str, float]:
     return {severity: vehicle.active.get(severity, 0) for severity in get_args(Severity)}
-
-
-def _raised(channel: ChannelHealth) -> dict[str, float]:
-    return {severity: float(channel.severity == severity) for severity in get_args(Severity)}
 
 
 def _latencies(vehicle: VehicleHealth) -> dict[str, float]:
@@ -159,7 +156,7 @@ def _sized(name: str) -> _Parts:
 METRICS = (
     MetricRow("fauio_build_info", ("version",), "1, with the version of fauio", lambda _: [((version("fauio"),), 1.0)]),
     _HEALTH.row("fauio_healthy", lambda health: float(not problems(health)), "1 while /healthz answers 200"),
-    _VEHICLE.row("fauio_vehicle_state", _states, "1 for the state the vehicle is in", "state"),
+    _VEHICLE.row("fauio_vehicle_state", _one_of(VehicleState, "state"), "1 for the state the vehicle is in", "state"),
     _VEHICLE.row("fauio_vehicle_messages_total", "messages", "messages that the vehicle's pipeline took"),
     _VEHICLE.row(
         "fauio_vehicle_messages_dropped_total", "dropped", "messages of the vehicle dropped before its pipeline"
@@ -168,7 +165,7 @@ METRICS = (
     _VEHICLE.row("fauio_vehicle_active_alarms", _active, "active alarms, by severity now", "severity"),
     _CHANNEL.row(
         "fauio_alarm_active",
-        _raised,
+        _one_of(Severity, "severity"),
         "1 while the channel's alarm is active with that severity and not shelved, of every channel that can be one",
         "severity",
     ),
