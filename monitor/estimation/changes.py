@@ -123,7 +123,6 @@ class ChangeStage:
     def __init__(self, plant: Plant, rate_hz: float, inputs: Mapping[str, int | None], rule: ChangeRule) -> None:
         named = [*rule.lasts_s] or [name for name, source in inputs.items() if source is not None]
         sources = [] if rule.lasts_s else [inputs[name] for name in named]
-        self._depth = 1
         judged = [plant.outputs.index(name) for name in rule.outputs]
         n = len(plant.outputs)
         common: dict[str, Any] = {
@@ -138,65 +137,10 @@ class ChangeStage:
             "judged": judged,
             "actuators": [source for source in sources if source is not None],
         }
-        if not rule.lasts_s:
-            dynamics = np.column_stack([plant.A, plant.B, plant.c])[judged]
-            units = np.eye(n)[judged]
-            # A jump that a filter lets through as slowly as the motors' lag, or two of them, must not pass for a motor.
-            lags = [np.ones(1), taps := np.array(plant.taps), np.convolve(taps, taps)]
-            depth = len(rule.whitening) + 1 + len(lags[-1])
-            courses = [np.clip(np.cumsum(np.pad(lag, (0, depth - len(lag)))), 0.0, 1.0) for lag in lags]
-            moved = np.concatenate([course[:, None, None] * units for course in courses], axis=1)
-            jumps = moved.shape[1]
-            self._test = ChangeTest(
-                dynamics=dynamics,
-                curves=input_curves(plant),
-                taps=taps,
-                additions=_whitened(_unpredicted(moved, dynamics[:, :n], judged), rule.whitening),
-                grown=np.ones((depth, jumps)),
-                owner=len(named) + np.arange(jumps) % len(judged),
-                sudden=np.ones(jumps),
-                driven=False,
-                largest=_LARGEST_COMMAND,
-                **common,
-            )
-            return
-        blocks = [predictor(plant, output) for output in judged]
-        self._depth = max(len(block.y) for block in blocks)
-        dynamics = np.zeros((len(judged), self._depth * (n + len(plant.inputs)) + 1))
-        for row, (output, block) in enumerate(zip(judged, blocks, strict=True)):
-            for lag, (y, u) in enumerate(zip(block.y, block.u, strict=True)):
-                dynamics[row, lag * n + output] = y
-                start = self._depth * n + lag * len(plant.inputs)
-                dynamics[row, start : start + len(plant.inputs)] = u
-            dynamics[row, -1] = block.constant
-        # Faults that are not named keep others from being named in their place.
-        names = [fault.name for fault in plant.faults]
-        order = [*map(names.index, named), *(at for at, name in enumerate(names) if name not in named)]
-        rows = np.arange(1.0, round(WINDOW_S * rate_hz) + 1.0)
-        additions, grown, owner, sudden = [], [], [], []
-        for at, fault in enumerate(order):
-            lasts = max(1.0, rate_hz * rule.lasts_s.get(names[fault], 0.0))
-            # a jump on the straight line between two measurements, or from one sample to the next, and a walk
-            jumps = [(np.minimum(rows / line, 1.0), False) for line in sorted({1.0, lasts})]
-            for course, grows in (*jumps, (rows / rate_hz, True)):
-                shown = _unpredicted(_shown(plant, fault, course)[:, None], dynamics[:, : self._depth * n], judged)
-                if shown.any():
-                    additions.append(shown[:, 0])
-                    grown.append(course if grows else np.ones(len(rows)))
-                    owner.append(at)
-                    sudden.append(not grows)
-        self._test = ChangeTest(
-            dynamics=dynamics,
-            curves=np.ones((self._depth * len(plant.inputs), 1)),
-            taps=np.ones(1),
-            additions=_whitened(np.stack(additions, axis=1), rule.whitening),
-            grown=np.stack(grown, axis=1),
-            owner=owner,
-            sudden=sudden,
-            driven=True,
-            largest=np.inf,
-            **common,
-        )
+        if rule.lasts_s:
+            self._depth, self._test = _sensors_test(plant, rate_hz, rule, named, judged, common)
+        else:
+            self._depth, self._test = 1, _actuators_test(plant, rule, len(named), judged, common)
         self._u, self._y = np.zeros((1, len(plant.inputs))), np.zeros((1, n))
         self._usable = np.zeros(1, np.bool_)
 
@@ -228,6 +172,81 @@ class ChangeStage:
         self._u, self._y, self._usable = u[-1:], y[-1:], before[-1:]
         usable = usable & before[:-1] & ~samples.restart
         return np.hstack([u[1:], u[:-1]]), np.hstack([y[1:], y[:-1]]), usable, samples.restart
+
+
+def _actuators_test(
+    plant: Plant, rule: ChangeRule, named: int, judged: Sequence[int], common: Mapping[str, Any]
+) -> ChangeTest:
+    """Return the test of actuators: outputs are states, and jumps of them are no faults of the ``named`` ones."""
+    dynamics = np.column_stack([plant.A, plant.B, plant.c])[judged]
+    units = np.eye(len(plant.outputs))[judged]
+    # A jump that a filter lets through as slowly as the motors' lag, or two of them, must not pass for a motor.
+    lags = [np.ones(1), taps := np.array(plant.taps), np.convolve(taps, taps)]
+    depth = len(rule.whitening) + 1 + len(lags[-1])
+    courses = [np.clip(np.cumsum(np.pad(lag, (0, depth - len(lag)))), 0.0, 1.0) for lag in lags]
+    moved = np.concatenate([course[:, None, None] * units for course in courses], axis=1)
+    jumps = moved.shape[1]
+    return ChangeTest(
+        dynamics=dynamics,
+        curves=input_curves(plant),
+        taps=taps,
+        additions=_whitened(_unpredicted(moved, dynamics[:, : len(plant.outputs)], judged), rule.whitening),
+        grown=np.ones((depth, jumps)),
+        owner=named + np.arange(jumps) % len(judged),
+        sudden=np.ones(jumps),
+        driven=False,
+        largest=_LARGEST_COMMAND,
+        **common,
+    )
+
+
+def _sensors_test(
+    plant: Plant,
+    rate_hz: float,
+    rule: ChangeRule,
+    named: Sequence[str],
+    judged: Sequence[int],
+    common: Mapping[str, Any],
+) -> tuple[int, ChangeTest]:
+    """Return from how many samples outputs that are no states are predicted, and the test of sensors by that."""
+    blocks = [predictor(plant, output) for output in judged]
+    n, depth = len(plant.outputs), max(len(block.y) for block in blocks)
+    dynamics = np.zeros((len(judged), depth * (n + len(plant.inputs)) + 1))
+    for row, (output, block) in enumerate(zip(judged, blocks, strict=True)):
+        for lag, (y, u) in enumerate(zip(block.y, block.u, strict=True)):
+            dynamics[row, lag * n + output] = y
+            start = depth * n + lag * len(plant.inputs)
+            dynamics[row, start : start + len(plant.inputs)] = u
+        dynamics[row, -1] = block.constant
+    # Faults that are not named keep others from being named in their place.
+    names = [fault.name for fault in plant.faults]
+    order = [*map(names.index, named), *(at for at, name in enumerate(names) if name not in named)]
+    rows = np.arange(1.0, round(WINDOW_S * rate_hz) + 1.0)
+    additions, grown, owner, sudden = [], [], [], []
+    for at, fault in enumerate(order):
+        lasts = max(1.0, rate_hz * rule.lasts_s.get(names[fault], 0.0))
+        # a jump on the straight line between two measurements, or from one sample to the next, and a walk
+        jumps = [(np.minimum(rows / line, 1.0), False) for line in sorted({1.0, lasts})]
+        for course, grows in (*jumps, (rows / rate_hz, True)):
+            shown = _unpredicted(_shown(plant, fault, course)[:, None], dynamics[:, : depth * n], judged)
+            if shown.any():
+                additions.append(shown[:, 0])
+                grown.append(course if grows else np.ones(len(rows)))
+                owner.append(at)
+                sudden.append(not grows)
+    test = ChangeTest(
+        dynamics=dynamics,
+        curves=np.ones((depth * len(plant.inputs), 1)),
+        taps=np.ones(1),
+        additions=_whitened(np.stack(additions, axis=1), rule.whitening),
+        grown=np.stack(grown, axis=1),
+        owner=owner,
+        sudden=sudden,
+        driven=True,
+        largest=np.inf,
+        **common,
+    )
+    return depth, test
 
 
 class Predictor(NamedTuple):
