@@ -35,6 +35,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
 }
 
 BARO = len(IMU + GPS)
+MAG = slice(BARO + 1, BARO + 4)
 
 
 def washed(rate: np.ndarray, tau: float) -> np.ndarray:
@@ -255,6 +256,14 @@ def test_a_receiver_that_is_stuck_is_off_by_what_the_vehicle_moved_until_it_goes
         velocity = np.array([sample.y[transform.outputs.index(output)] for sample in samples])
         sped = np.array([sample.u[transform.inputs.index(name)] for sample in samples])
         assert np.max(np.abs(np.diff(velocity - washed(sped, 10.0)))[500:]) < 0.01
+
+
+def test_a_vehicle_that_stands_is_no_receiver_that_is_stuck_although_its_gyros_drift() -> None:
+    raw = np.zeros((6000, 18))
+    raw[:, 2], raw[:, 3:6], raw[:, 9:11], raw[:, MAG] = -9.80665, 0.004, truth.HOME, truth.FIELD
+    parameters = {"gps_hold_s": 1.0, "judge_level": 12.1, "field_noise": 0.01, "field_walk": 0.005}
+    errors = disagreement(*truth.transformed(raw, parameters))
+    assert max(errors["gps_north"], errors["gps_east"]) < 0.05
 
 
 def test_a_magnetic_field_that_comes_seldom_is_followed_by_the_gyro_until_it_is_late() -> None:

@@ -28,6 +28,8 @@ cdef int _RESET_TICKS = 3
 # Chosen: twice the smallest error of a position that is worth an alarm. A fix that was the same for long and then moves
 # by less was that of a vehicle that stood still without noise, as in simulators.
 cdef double _STUCK_METRES = 1.0
+# Speed of a receiver that stands, m/s: the noise of its velocity, as the navigation takes it.
+cdef double _STANDS = 0.1
 # How long the gyro or the attitude may lack before all begins anew, seconds. Chosen: as long as a gap of the samples.
 cdef double _LONGEST_S = 1.5
 # What may happen unseen while a sensor lacks: what a tilt that is 30 mrad off and a gyro that is 1 degree per second
@@ -296,6 +298,8 @@ cdef class StrapdownCore:
     cdef double[2] _way
     cdef int _loose
     cdef bint _unstuck
+    # For how many ticks neither GPS nor IMU has shown a motion.
+    cdef int _resting
     # u of the tick before; the sum of u since the period's start, and where it began.
     cdef bint _has_before, _begun, _fresh
     cdef double[_WIDEST] _before
@@ -373,7 +377,7 @@ cdef class StrapdownCore:
         self._apart[0] = self._apart[4] = self._apart[8] = 1.0
         self._resets = self._summed = self._stills = self._loose = 0
         self._tipped = self._unread = False
-        self._fix_age = self._field_age = self._field_step = 0
+        self._fix_age = self._field_age = self._field_step = self._resting = 0
         self._still = self._blind = self._unstuck = False
         memset(self._doubt, 0, sizeof(self._doubt))
         memset(self._lacked, 0, sizeof(self._lacked))
@@ -636,6 +640,7 @@ cdef class StrapdownCore:
         if self._gps:
             if self._navigation is not None:
                 self.navigate(sensed, fix, motion)
+                self.follow_rest(sensed + 3, fix, motion)
             self.follow_fix(fix, motion)
             y[0], y[1] = fix[0], fix[1]
             k = 2
@@ -703,11 +708,23 @@ cdef class StrapdownCore:
             return
         due = self._navigation.go_on(sensed, sensed + 3, sensed + 6, sensed + 16, lacks, motion)
         self._navigation.differ(sensed + 6, self._apart)
-        if due and not fix[5] and memcmp(fix, self._fix, sizeof(self._fix)) != 0:
+        if due and not fix[5] and (self.rests() or memcmp(fix, self._fix, sizeof(self._fix)) != 0):
             self._navigation.meet(fix + 3)
             if self._navigation.returned:
                 self._navigation.returned = False
                 self._back = True
+
+    cdef void follow_rest(self, const double* rate, const double* fix, const double* motion) noexcept:
+        """Follow for how long the vehicle has stood: no motion but what errors of the IMU make of nothing."""
+        cdef bint moves = hypot(fix[3], fix[4]) > _STANDS or hypot(motion[0], motion[1]) > _UNSEEN_ACCELERATION
+        cdef int axis
+        for axis in range(3):
+            moves |= fabs(rate[axis]) > _UNSEEN_RATE
+        self._resting = 0 if moves else min(self._resting + 1, _LONGEST_STEP)
+
+    cdef bint rests(self) noexcept:
+        """Return whether it stands, for as long as a fix may stay the same: then it does, and is no receiver stuck."""
+        return self._resting > self._gps_hold > 0
 
     cdef void follow_fix(self, const double* fix, const double* motion) noexcept:
         """Follow the GPS's speed, by the accelerations while the fix stays the same.
@@ -719,7 +736,7 @@ cdef class StrapdownCore:
         cdef int axis
         if fix[5]:
             return
-        if memcmp(fix, self._fix, sizeof(self._fix)) == 0:
+        if memcmp(fix, self._fix, sizeof(self._fix)) == 0 and not self.rests():
             self._fix_age += 1
             for axis in range(2):
                 self._reckoned[axis] = self._reckoned[axis] + motion[axis] * self._dt
