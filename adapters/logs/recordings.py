@@ -115,11 +115,20 @@ def _files(path: str | os.PathLike[str]) -> list[Path]:
 class Recording:
     """The messages of a recording in the order they arrived, and then what of it could not be read.
 
-    Iterate over it once. Of the folder of a session it reads the files one after the other; one that holds nothing of
-    its kind is passed over where others do. ``only`` names the messages wanted, None wants all; topics of ROS 2 of some
-    ``types`` are wanted beside them (:class:`adapters.logs.mcap_reader.MessageLogReader`). ``mapping`` is a TOML file
-    that says for some messages from which records of an onboard log they come; the others, and all without it, are
-    guessed.
+    Iterate over it once. A file of a session that holds nothing of its kind is passed over where others do.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        The recording, or the folder of a session: its files one after the other.
+    only : Collection[str] | None
+        Names of the messages wanted; None wants all.
+    mapping : str | PathLike | None
+        TOML file that says for some messages from which records of an onboard log they come; the others, and all
+        where there is none, are guessed.
+
+    types : Collection[str]
+        ROS 2 types whose topics are wanted beside ``only`` (:class:`adapters.logs.mcap_reader.MessageLogReader`).
 
     Raises
     ------

@@ -82,9 +82,12 @@ class ExcitationStage:
         self._rate_hz = rate_hz
 
     def run(self, samples: Samples, level: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Process n samples of which the residuals have some level (n,); return r, d, s and a fourth (n, 4).
+        """Process n samples of which the residuals have some level (n,).
 
-        That is how many times further than in the fitted flights r or d is, 1 inside of them.
+        Returns
+        -------
+        NDArray[np.float64]
+            r, d, s, and how many times further than in the fitted flights r or d is, 1 inside of them (n, 4).
         """
         return self._core.run(samples.u, samples.y, samples.restart, level)
 

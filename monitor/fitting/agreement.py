@@ -336,8 +336,18 @@ def flight_effects(
 ) -> FlightEffects | str:
     """Estimate the effects in one flight by least squares; return its name where it is too short to tell.
 
-    ``regressors`` are what each coefficient adds to each output (N, n, k), ``target`` what they have to add up to
-    (N, n), ``std`` the error of each output (n,).
+    Parameters
+    ----------
+    name : str
+        The flight's.
+    regressors : FloatArray
+        What each coefficient adds to each output (N, n, k).
+    target : FloatArray
+        What they have to add up to (N, n).
+    std : FloatArray
+        Error of each output (n,).
+    rate_hz : float
+        Samples per second.
     """
     coefficients, seconds = regressors.shape[2], len(target) / rate_hz
     if seconds < 2 * coefficients * _BLOCK_S[0]:

@@ -33,12 +33,25 @@ def fit_excitation(
 ) -> ExcitationRule:
     """Return the rule by which evidence of an observer's actuators is scaled.
 
-    The ``observer`` has no such rule yet; the size of ``outputs`` excites errors. ``unit`` is the size of each
-    actuator's fault that makes them comparable: its command at hover (m,), in the order of the faults. In these units
-    ``smallest`` is the smallest size worth an alarm, up to which the scale is 1, and ``beyond`` the variance per
-    squared output and per squared change of a command beyond what the flights show. All of a channel's paths together
-    raise ``alarms_per_hour`` false alarms; what is believed of each actuator exceeds the scaled smallest size as
-    seldom.
+    Parameters
+    ----------
+    observer : ObserverProfile
+        The observer, without such a rule.
+    gate, flights : GateRule, Sequence[Flight]
+        When samples count, and the healthy flights.
+    outputs : Sequence[str]
+        Outputs whose size excites errors.
+    unit : NDArray[np.float64]
+        Size of each actuator's fault that makes them comparable: its command at hover (m,), in the order of the faults.
+    smallest : float
+        Smallest size worth an alarm, in these units: up to it the scale is 1.
+    beyond : tuple[float, float]
+        Variance per squared output and per squared change of a command beyond what the flights show, in these units.
+    alarms_per_hour : float
+        Rate at which all of a channel's paths may raise a false alarm; what is believed of each actuator exceeds the
+        scaled smallest size as seldom.
+    times : Times
+        How long evidence has to last.
     """
     actuators = [place for place, channel in enumerate(observer.faults) if channel.kind != "sensor"]
     none = ExcitationRule(tuple(outputs), *(0.0,) * 7)

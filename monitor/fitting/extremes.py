@@ -98,10 +98,18 @@ def return_level(
     alarms_per_hour: float,
     confidence: float = 0.9,
 ) -> ReturnLevel:
-    """Return the level that the peaks of a statistic exceed ``alarms_per_hour`` times an hour.
+    """Return the level that a statistic exceeds ``alarms_per_hour`` times an hour.
 
-    ``series`` are its sizes (not negative) in healthy flight, one array for each stretch without a gap (N_i,);
-    ``confidence`` is the probability that the level lies between ``low`` and ``high``.
+    Parameters
+    ----------
+    series : Sequence[NDArray[np.float64]]
+        Sizes (not negative) in healthy flight, one array for each stretch without a gap (N_i,).
+    rate_hz : float
+        Samples per second.
+    alarms_per_hour : float
+        Rate at which peaks may exceed the level.
+    confidence : float
+        Probability that the level lies between ``low`` and ``high``.
 
     Raises
     ------

@@ -64,11 +64,20 @@ class Scatter:
 
 
 def scatter(flights: Sequence[NDArray[np.float64]], rate_hz: float) -> Scatter:
-    """Return the scatter that healthy flights show by their estimates, as shares of the hover command (N_i, m).
+    """Return the scatter that healthy flights show.
 
-    Shorter ones than :data:`LASTING_S` are passed over. s^2 is the mean square over stretches of :data:`LASTING_S` and
-    more, so that noise as long counts in it. The model was learned on the same flights and is off by their mean, hence
-    F / (F - 1).
+    Parameters
+    ----------
+    flights : Sequence[NDArray[np.float64]]
+        Healthy estimates of each flight, as shares of the hover command (N_i, m); shorter ones than
+        :data:`LASTING_S` are passed over.
+    rate_hz : float
+        Samples per second.
+
+    Notes
+    -----
+    s^2 is the mean square over stretches of :data:`LASTING_S` and more, so that noise as long counts in it. The model
+    was learned on the same flights and is off by their mean, hence F / (F - 1).
     """
     least = round(LASTING_S * rate_hz)
     squares = [

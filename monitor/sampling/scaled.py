@@ -64,8 +64,13 @@ def check_parameters(
 class ScaledInputs(ABC):
     """A transform whose inputs are effects of actuators at the present speed; a kind implements :meth:`scale`.
 
-    Parameters are ``reference_speed`` and ``minimum_speed`` (m/s); for each actuator optionally ``<name>_delay_s`` and
-    ``<name>_lag_s``; what else the kind knows. Raw samples per second are a whole multiple of the samples given.
+    Parameters
+    ----------
+    parameters : Mapping[str, float]
+        ``reference_speed`` and ``minimum_speed`` (m/s); for each actuator optionally ``<name>_delay_s`` and
+        ``<name>_lag_s``; what else the kind knows.
+    signal_rate_hz, rate_hz : float
+        Raw samples and given samples per second; the first is a whole multiple of the second.
 
     Raises
     ------

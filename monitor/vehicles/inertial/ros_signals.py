@@ -37,8 +37,17 @@ def ros_channels(
     Attitude is the IMU's orientation, else that of the odometry. Position is the NavSatFix, which brings no velocity,
     else the odometry, which does.
 
-    Of each topic ``examples`` has the fields of one message, ``rates`` the messages per second. Return channels,
-    parameters of the transform, and topics that come less often than the IMU; None without an Imu.
+    Parameters
+    ----------
+    examples : Mapping[str, Mapping[str, Any]]
+        Fields of one message for each topic.
+    rates : Mapping[str, float]
+        Messages per second of each topic.
+
+    Returns
+    -------
+    tuple | None
+        Channels, parameters of the transform, and topics that come less often than the IMU; None without an Imu.
 
     Raises
     ------

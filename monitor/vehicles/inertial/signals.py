@@ -66,8 +66,12 @@ def strapdown_channels(
     the IMU's own time stamp, else the pressure of SCALED_PRESSURE. The altitude of VFR_HUD is no barometer: it is the
     autopilot's estimate, which a fault of any sensor moves, and it has no time stamp.
 
-    ``examples`` has the fields of one message (in motion, after the first GPS fix) for each message name that the
-    vehicle sends, ``imus`` the messages of inertial measurements, the preferred ones first.
+    Parameters
+    ----------
+    examples : Mapping[str, Mapping[str, Any]]
+        Fields of one message (in motion, after the first GPS fix) for each message name that the vehicle sends.
+    imus : Sequence[str]
+        Messages of inertial measurements, the preferred ones first.
 
     Raises
     ------

@@ -162,10 +162,18 @@ def identify_multirotor(
     Each flight has offsets c of its own, of which the fit keeps the mean: another payload or propeller moves the mean
     commands, and taken for the motion's cause that would be the end of every effect.
 
-    Segments are healthy flight on the grid; y in the order roll, pitch, yaw rate (rad/s) and, where it is there,
-    vertical specific force (m/s^2). ``flights`` says which flight each is of; None: all of one. ``effects`` is the
-    relative effect of each motor on roll, pitch and yaw by the frame's geometry (3, s), for axes that the flights do
-    not tell: known by the usual size of such effects only. Zeros, or None for all: the flights tell them.
+    Parameters
+    ----------
+    segments : Sequence[Segment]
+        Healthy flight on the grid; y in the order roll, pitch, yaw rate (rad/s) and, where it is there, vertical
+        specific force (m/s^2).
+    rate_hz : float
+        Samples per second of the grid.
+    effects : FloatArray | None
+        Relative effect of each motor on roll, pitch and yaw by the frame's geometry (3, s), for axes that the flights
+        do not tell: known by the usual size of such effects only. Zeros, or None for all: the flights tell them.
+    flights : Sequence[int] | None
+        Which flight each segment is of; None: all of one.
 
     Raises
     ------
@@ -579,9 +587,20 @@ def multirotor_plant(
     design trusts the model and each sensor as far as the flights allow. What uncertain coefficients do is added to the
     disturbance, not to its square: through a manoeuvre it keeps its sign.
 
-    ``motors`` are their channels' names (s,) and ``unit`` that of their inputs, ``doubt`` is what the uncertainty of
-    the coefficients puts into the next body rates (3,), rad/s. ``gyros``: their faults are told from those of motors;
-    over ticks of seconds they are not.
+    Parameters
+    ----------
+    fit : MultirotorFit
+        The fitted model.
+    name : str
+        Name of the plant.
+    motors : Sequence[str]
+        Channel names of the motors (s,).
+    doubt : Sequence[float]
+        What the uncertainty of the coefficients puts into the next body rates (3,), rad/s.
+    gyros : bool
+        Whether faults of the gyros are told from those of motors; over ticks of seconds they are not.
+    unit : str
+        Unit of the motors' inputs.
     """
     n, s = fit.B.shape
     states = (*RATE_AXES, VERTICAL)[:n]

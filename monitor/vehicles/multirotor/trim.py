@@ -100,8 +100,19 @@ class _Axis:
 def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> MultirotorFit:
     """Fit the model of the module's docstring; use it where motor commands come below :data:`SLOW_COMMANDS_HZ`.
 
-    Segments are healthy flight on the slow grid: u mean commands until the next tick, y body rates at the tick (rad/s).
-    The model is of roll and pitch alone where the flights never turned.
+    Parameters
+    ----------
+    segments : Sequence[Segment]
+        Healthy flight on the slow grid: u mean commands until the next tick, y body rates at the tick (rad/s).
+    rate_hz : float
+        Ticks per second.
+    frame : Frame
+        How the motors turn the vehicle.
+
+    Returns
+    -------
+    MultirotorFit
+        Of roll and pitch alone where the flights never turned.
 
     Raises
     ------
@@ -154,9 +165,16 @@ def usable_segments(segments: Sequence[Segment], rate_hz: float) -> list[Segment
 def choose_frame(segments: Sequence[Segment], rate_hz: float) -> Frame | None:
     """Return the standard frame whose torques go with the motion of a recording, None where none clearly does.
 
-    Segments are healthy flight on a grid about as fast as the body rates: u the newest commands at the tick (N, s), y
-    body rates.
+    Parameters
+    ----------
+    segments : Sequence[Segment]
+        Healthy flight on a grid about as fast as the body rates: u the newest commands at the tick (N, s), y body
+        rates.
+    rate_hz : float
+        Ticks per second.
 
+    Notes
+    -----
     The commanded torque of the right frame grows with the angular acceleration some ticks later and, by damping, with
     the rate. Each axis of a frame counts with the squared t-values of both coefficients, negative where their sign is
     wrong. Only ticks with new commands count: an older one says nothing of the motion now.
