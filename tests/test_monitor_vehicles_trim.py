@@ -123,6 +123,7 @@ TRI = {"FRAME_CLASS": 7.0, "SERVO1_FUNCTION": 33.0, "SERVO2_FUNCTION": 34.0, "SE
         (PX4_VTOL, {1, 2, 3, 4}),
         (TRI | {"SERVO7_FUNCTION": 39.0}, {1, 2, 4}),
         ({}, set()),
+        ({"FRAME_CLASS": 6.0} | {f"SERVO{n}_FUNCTION": 32.0 + n for n in range(1, 5)}, set()),
         ({"SERVO1_FUNCTION": 4.0, "SERVO2_FUNCTION": 19.0, "SERVO3_FUNCTION": 70.0}, set()),
     ],
 )
@@ -142,6 +143,14 @@ def test_motors_of_a_tricopter_turn_it_about_roll_and_pitch_alone() -> None:
     frame = frame_of(TRI, (1, 2, 4))
     assert frame is not None and np.allclose(frame.effects, [[-1, 1, 0], [0.5, 0.5, -1], [0, 0, 0]])
     assert lifting_outputs({}, tricopter=True) == {1, 2, 4}
+    u, y = fly(frame, 60.0)
+    fit = identify_trim([Segment(u[::20], y[::20])], 1.0 / STEP_S / 20, frame)
+    assert fit.B.shape == (2, 3)
+
+
+def test_motors_that_tilt_to_turn_a_plane_do_not_turn_it_by_their_drag() -> None:
+    frame = frame_of(QUADPLANE | {"Q_TILT_ENABLE": 1.0, "Q_TILT_TYPE": 2.0}, (5, 6, 7, 8))
+    assert frame is not None and not frame.effects[2].any()
 
 
 @pytest.mark.parametrize(

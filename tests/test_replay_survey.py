@@ -19,7 +19,7 @@ from monitor.fitting.fitted import FitRequest
 from monitor.fitting.survey import Survey, of_one_vehicle, survey
 from monitor.vehicles.kinds import fit_messages
 from monitor.vehicles.multirotor.fit import fit_multirotor
-from monitor.vehicles.multirotor.signals import CommandRange, motor_commands
+from monitor.vehicles.multirotor.signals import CommandRange, hover_pulse, motor_commands
 
 FLIGHTS = ("copter_healthy_square.tlog.xz", "copter_healthy_vel_gusty.tlog.xz")
 
@@ -73,6 +73,24 @@ def test_speeds_of_motors_are_recognised_and_their_range_is_gazebos_or_round(
     commands = motor_commands([outputs_over_time(speeds | still)])
     assert commands == CommandRange((1, 2, 3, 4), stop, full)
     assert not commands.pulses
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"), [({"FRAME_CLASS": 6.0}, "is a helicopter"), ({"Q_ENABLE": 1.0}, "rotors and wings")]
+)
+def test_what_has_no_rotors_that_are_known_is_refused_in_one_line(parameters: Mapping[str, float], said: str) -> None:
+    found = outputs_over_time({n: moving(1300, 1700, n) for n in (1, 2, 3, 4)})
+    with pytest.raises(TelemetryError, match=f"{said}.*--vehicle inertial"):
+        motor_commands([replace(found, parameters=parameters)])
+
+
+def test_motors_of_a_plane_that_hovers_at_times_are_the_outputs_that_its_parameters_say() -> None:
+    stopped = {n: [1000] * 490 + moving(1300, 1700, n, 10) for n in (5, 6, 7, 8)}
+    found = outputs_over_time({n: moving(1300, 1700, n) for n in (1, 2, 3, 4)} | stopped)
+    functions = {f"SERVO{n}_FUNCTION": float(28 + n) for n in (5, 6, 7, 8)}
+    commands = motor_commands([replace(found, parameters={"Q_ENABLE": 1.0} | functions)])
+    assert commands == CommandRange((5, 6, 7, 8), 1000.0, 2000.0)
+    assert hover_pulse([replace(found, parameters={"Q_ENABLE": 1.0})], commands) > 1300
 
 
 def test_pulses_of_a_vehicle_that_stayed_on_the_ground_are_not_taken_for_speeds() -> None:

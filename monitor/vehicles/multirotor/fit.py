@@ -438,6 +438,7 @@ def _slow(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
         source = replace(source, outputs=rates[: len(model.a)])
         flights = [flight_samples(log(), source, rate_hz, gate, drive.supply) for log in request.logs]
     segments = [segment for flight in flights for segment in flight.segments()]
+    still = "the flights never turned" if frame.effects[2].any() else "which no motor turns"
     return _Identified(
         model=model,
         source=source,
@@ -455,7 +456,7 @@ def _slow(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
         },
         line=f"{why}: mean command against mean motion, every "
         f"{1 / rate_hz:.2g} s; {frame.name} (from {origin})"
-        + ("" if len(model.a) == len(rates) else "; yaw is not used, the flights never turned"),
+        + ("" if len(model.a) == len(rates) else f"; yaw is not used, {still}"),
         details=(),
     )
 

@@ -30,6 +30,8 @@ _PX4_QUAD_X = 4
 
 _TRI = 7
 """ArduPilot's FRAME_CLASS of tricopters."""
+_HELICOPTERS = (6, 11, 13)
+"""ArduPilot's FRAME_CLASS of those with one main rotor, two and four."""
 _TRI_MOTORS = (0, 1, 3)
 """Theirs from 0: what the function of motor 7 drives is the servo of the tail."""
 
@@ -78,6 +80,8 @@ _STANDARD: Mapping[tuple[int, int], tuple[str, tuple[tuple[float, float], ...]]]
     (14, 1): ("deca x", tuple((18 + 36 * i, (CCW, CW)[i % 2]) for i in range(10))),
     (14, 0): ("deca +", tuple((36 * i, (CCW, CW)[i % 2]) for i in range(10))),
 }
+_VECTORED_YAW = 2
+"""Q_TILT_TYPE of planes that tilt their motors to turn about the vertical: drag of motors is lost in that."""
 _ONE_SHAPE = (5, _TRI)
 """Classes whose types, but for those above, are all one frame."""
 
@@ -98,12 +102,17 @@ def lifting_outputs(parameters: Mapping[str, float], tricopter: bool = False) ->
     Control surfaces, a forward motor and the servos of a tail or of tilting motors are none. ``tricopter`` says whether
     the vehicle reports to be one, whose motors are outputs 1, 2 and 4 if no parameter tells.
     """
-    of = _motors(parameters)
+    of = {} if is_helicopter(parameters) else _motors(parameters)
     if len(of) < 3:
         return frozenset(index + 1 for index in _TRI_MOTORS) if tricopter else frozenset()
     if tricopter or _class(parameters)[0] == _TRI:
         return frozenset(number for number, index in of.items() if index in _TRI_MOTORS)
     return frozenset(number for number, index in of.items() if _lifts(parameters, index))
+
+
+def is_helicopter(parameters: Mapping[str, float]) -> bool:
+    """Return whether parameters of ArduPilot say that blades of changing pitch lift the vehicle."""
+    return _class(parameters)[0] in _HELICOPTERS
 
 
 def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame | None:
@@ -125,7 +134,10 @@ def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame |
     if key[0] == _TRI:
         order = [_TRI_MOTORS.index(index) if index in _TRI_MOTORS else -1 for index in order]
     name, motors = standard
-    return _chosen(name, _effects(motors), order)
+    effects = _effects(motors)
+    if parameters.get("Q_TILT_ENABLE", 0) and parameters.get("Q_TILT_TYPE") == _VECTORED_YAW:
+        effects[2] = 0.0
+    return _chosen(name, effects, order)
 
 
 def standard_frames(motors: int) -> Iterator[Frame]:

@@ -22,7 +22,7 @@ from monitor.fitting.survey import (
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.supply import BATTERY_MESSAGE, CELLS_MESSAGE
 from monitor.vehicles.base import Preview
-from monitor.vehicles.multirotor.frames import frame_of, lifting_outputs
+from monitor.vehicles.multirotor.frames import frame_of, is_helicopter, lifting_outputs
 from monitor.vehicles.multirotor.speeds import esc_signals
 from monitor.vehicles.multirotor.trim import SLOW_COMMANDS_HZ
 
@@ -188,8 +188,8 @@ def motor_commands(surveys: Sequence[Survey]) -> CommandRange:
     Raises
     ------
     TelemetryError
-        Fewer than three move; the text says what each output did. Or it has rotors and wings, and nothing tells which
-        outputs are which.
+        Fewer than three move; the text says what each output did. Or it is a helicopter, or has rotors and wings
+        of which nothing tells which outputs drive them.
     """
     lifting = (lifting_outputs(found.parameters, "tricopter" in found.vehicle_types) for found in surveys)
     rotors: frozenset[int] = next(filter(None, lifting), frozenset())
@@ -221,7 +221,12 @@ def motor_commands(surveys: Sequence[Survey]) -> CommandRange:
 
 
 def _check_rotors(surveys: Sequence[Survey]) -> None:
-    """Refuse a vehicle with wings where no parameter tells which outputs are its rotors."""
+    """Refuse a helicopter, and a vehicle with wings where no parameter tells which outputs are its rotors."""
+    if any("helicopter" in found.vehicle_types or is_helicopter(found.parameters) for found in surveys):
+        raise TelemetryError(
+            "the vehicle is a helicopter: servos turn its blades, not motors, and they are not watched; --vehicle "
+            "inertial watches its sensors"
+        )
     if any(survey.is_vtol for survey in surveys):
         raise TelemetryError(
             "the vehicle has rotors and wings, and no three outputs are known to drive motors that lift, by its "

@@ -120,7 +120,7 @@ def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> 
         Too little healthy flight.
     """
     usable = usable_segments(segments, rate_hz)
-    turned = max(float(np.abs(segment.y[:, 2]).max()) for segment in usable) > _TURNED
+    turned = max(float(np.abs(segment.y[:, 2]).max()) for segment in usable) > _TURNED and frame.effects[2].any()
     g = frame.effects[: 3 if turned else 2] / frame.effects.shape[1]
     change, middle = _motion(usable, rate_hz)
     lag = min(_LAGS, key=lambda h: sum(np.log(axis.error_std) for axis in _axes(usable, g, h, change, middle)))
@@ -192,7 +192,7 @@ def choose_frame(segments: Sequence[Segment], rate_hz: float) -> Frame | None:
         middle = np.vstack([y[1:-1] for y in rates])[fresh]
         for frame in standard_frames(u.shape[1]):
             scores = _agreement(u, change, middle, frame)
-            if np.all(scores > _TELLS**2) and scores.sum() > best[0]:
+            if np.all(scores[frame.effects.any(axis=1)] > _TELLS**2) and scores.sum() > best[0]:
                 best = float(scores.sum()), frame
     return best[1]
 
