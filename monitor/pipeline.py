@@ -70,12 +70,25 @@ _quiet_overflow = np.errstate(all="ignore")
 class Pipeline:
     """State of one monitored vehicle.
 
-    ``vehicle`` is its name in topics and events, None: the profile's. ``system`` is the MAVLink system id to monitor,
-    None: the profile's, 0: the first that sends the profile's channels; ``component`` that of the system to listen to,
-    0: any. With ``force`` a vehicle that says it is another than the profile's is watched, too.
+    Parameters
+    ----------
+    profile : Profile
+        The vehicle's profile.
+    vehicle : str | None
+        Name in topics and events; None takes the profile's.
+    system : int | None
+        MAVLink system id to monitor, None takes the profile's; 0: the first that sends the profile's channels.
+    component : int
+        MAVLink component of that system to listen to; 0: any.
+    force : bool
+        Whether to watch also a vehicle that says it is another than the profile's.
 
-    ``foreign`` counts messages of other senders; ``contradictions`` are what arrived lately that two senders must have
-    sent, a sentence each.
+    Attributes
+    ----------
+    foreign : int
+        Messages of other senders.
+    contradictions : Sequence[str]
+        What arrived lately that two senders must have sent, a sentence each.
     """
 
     def __init__(
@@ -252,8 +265,12 @@ class Pipeline:
         """Process a batch of messages; return estimates and events.
 
         A message that does more than bring measurements begins a segment, in which the estimates come before the
-        events. A batch is one message or thousands, in the order of arrival; the results do not depend on how a stream
-        is cut into batches.
+        events. The results do not depend on how a stream is cut into batches.
+
+        Parameters
+        ----------
+        batch : Batch
+            One message or thousands, in the order of arrival.
         """
         outputs: list[Estimates | AlarmEvent] = []
         if self._system == 0:

@@ -77,10 +77,14 @@ class ByteLink(Protocol):
 def open_byte_link(url: str, may_send: bool = False) -> ByteLink:
     """Open the link that a URL names.
 
-    It is ``udpin:HOST:PORT`` (binds to that address; ``udp:`` is the same), ``udpout:HOST:PORT`` (hears who answers
-    from that address), ``tcp:HOST:PORT`` (connects, again and again if need be), ``tcpin:HOST:PORT`` (listens) or
-    ``serial:DEVICE[:BAUD]``. ``may_send``: the user of the link will send; without that nobody would answer a
-    ``udpout``.
+    Parameters
+    ----------
+    url : str
+        ``udpin:HOST:PORT`` (binds to that address; ``udp:`` is the same), ``udpout:HOST:PORT`` (hears who
+        answers from that address), ``tcp:HOST:PORT`` (connects, again and again if need be),
+        ``tcpin:HOST:PORT`` (listens) or ``serial:DEVICE[:BAUD]``.
+    may_send : bool
+        Whether the user of the link will send; without that nobody would answer a ``udpout``.
 
     Raises
     ------

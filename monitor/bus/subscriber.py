@@ -28,10 +28,25 @@ HISTORY_PAUSE_S = 0.2
 class AlarmSubscriber:
     """Collects alarm events; the reader takes them one by one.
 
-    The open ``session`` is left open by :meth:`close`; ``vehicle`` is the name of one, ``"*"`` for all, ``prefix`` what
-    the keys begin with. With ``history`` it begins with the past events the monitor still knows, and not only with the
-    latest of each channel; with a ``seal`` it takes only what has its proof. ``invalid`` counts payloads that were no
-    alarm events, or had no proof, ``lost`` events dropped because the reader did not take them.
+    Parameters
+    ----------
+    session : zenoh.Session
+        An open session; left open by :meth:`close`.
+    vehicle : str
+        Name of the vehicle, ``"*"`` for all.
+    prefix : str
+        What the keys begin with.
+    history : bool
+        Begin with the past events the monitor still knows, and not only with the latest of each channel.
+    seal : Seal | None
+        Take only what has its proof.
+
+    Attributes
+    ----------
+    invalid : int
+        Payloads that were no alarm events, or had no proof.
+    lost : int
+        Events dropped because the reader did not take them.
 
     Raises
     ------
