@@ -86,6 +86,14 @@ def test_a_standing_rover_gives_no_evidence() -> None:
     assert all(sample.measured for sample in found)
 
 
+def test_a_standing_rover_lacks_nothing_but_what_does_not_come() -> None:
+    samples = raw_samples(np.array([rover(0, 0.1, speed).values for speed in (0.0, 1.0, 0.0)]))
+    samples.index[:], samples.lost[2, 0] = range(3), True
+    unflown = DriveInputs(CRAWL, RATE_HZ, RATE_HZ).run(samples).unflown
+    assert unflown is not None
+    assert unflown.tolist() == [True, False, False]
+
+
 def test_sliding_sideways_is_no_speed() -> None:
     sliding = Raw(0, [0.5, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0], restart=True)
     assert given_out(DriveInputs(CRAWL, RATE_HZ, RATE_HZ), [sliding])[0].u[2] == 0.0

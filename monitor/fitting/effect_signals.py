@@ -10,6 +10,7 @@ from adapters.channels import STANDARD_GRAVITY, Channel
 from adapters.errors import TelemetryError
 from monitor.fitting.survey import MOTOR_MESSAGE, Survey
 from monitor.sampling.phase import FlightPhase
+from monitor.sampling.slow_telemetry import LOG_FASTER
 
 _ATTITUDE = "ATTITUDE"
 # Messages and the m/s^2 in their units: MAVLink gives milli-g where it is not SI.
@@ -76,4 +77,6 @@ def _rate_hz(surveys: Sequence[Survey], messages: Sequence[str]) -> float:
     for rate in _RATES_HZ:
         if slowest >= _NEARLY * rate:
             return rate
-    raise TelemetryError(f"{message} comes {slowest:.1f} times a second; record it at 50 Hz or more")
+    onboard = any(survey.onboard for survey in surveys)
+    advice = f"{LOG_FASTER}; '--vehicle inertial' fits the sensors alone" if onboard else "Record it at 50 Hz or more"
+    raise TelemetryError(f"{message} comes {slowest:.1f} times a second. {advice}")

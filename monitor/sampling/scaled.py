@@ -84,6 +84,7 @@ class ScaledInputs(ABC):
     inputs: ClassVar[tuple[str, ...]]
     outputs: ClassVar[tuple[str, ...]]
     extra_parameters: ClassVar[frozenset[str]] = frozenset()
+    may_stand: ClassVar[bool] = False  # whether a vehicle that is slow in operation lacks nothing: one on the ground
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
         self._check(parameters)
@@ -103,7 +104,9 @@ class ScaledInputs(ABC):
         # Absurd values may overflow; they are no evidence, and no news for the log.
         with np.errstate(all="ignore"):
             scaled = self.scale(np.ascontiguousarray(samples.u.T))
-        return self._means.run(samples, scaled.columns, scaled.evidence)
+        given = self._means.run(samples, scaled.columns, scaled.evidence)
+        stands = ~scaled.evidence & ~samples.lost.any(axis=1)
+        return given._replace(unflown=stands[given.rows]) if self.may_stand else given
 
     def _check(self, parameters: Mapping[str, float]) -> None:
         timing = {f"{actuator}_{key}" for actuator in self.actuators for key in ("delay_s", "lag_s")}

@@ -42,7 +42,7 @@ def slow_text(slow: Mapping[str, float], wanted_hz: float, *, onboard: bool, com
     rates = ", ".join(f"{name} {rate:.3g} Hz" for name, rate in slow.items())
     gain = "" if commands_hz is None else f": {motor_gain(commands_hz)}"
     return f"slow telemetry: {rates}; {wanted_hz:g} Hz or more show faults sooner and smaller ones{gain}. " + (
-        _LOG_FASTER if onboard else _SEND_FASTER
+        LOG_FASTER if onboard else _SEND_FASTER
     )
 
 
@@ -63,7 +63,7 @@ _SEND_FASTER = (
     "Raise the rates in the autopilot (ArduPilot SRx_*, PX4 mavlink stream) or with [send] rates of fauio.toml, record "
     "again and fit again"
 )
-_LOG_FASTER = (
+LOG_FASTER = (
     "Log at high rate (PX4: SDLOG_PROFILE 17) and fit again; ArduPilot logs motor outputs 10 times a second whatever "
     "is set: record telemetry instead (fauio record)"
 )

@@ -40,6 +40,7 @@ class DriveInputs(ScaledInputs):
     inputs: ClassVar[tuple[str, ...]] = (*actuators, "speed")
     outputs: ClassVar[tuple[str, ...]] = ("yaw_rate", "forward_acceleration")
     extra_parameters: ClassVar[frozenset[str]] = frozenset({"steering_cubic"})
+    may_stand: ClassVar[bool] = True
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
         super().__init__(parameters, signal_rate_hz, rate_hz)
