@@ -273,6 +273,18 @@ def test_a_loss_and_a_gain_of_opposite_effect_are_told_apart_by_what_lasts() -> 
     assert (Choices(keep=0.8).run(gust, signs).x[:, 0] == 0.0).all()
 
 
+@pytest.mark.parametrize(("noise", "told"), [(0.06, True), (1.0, False)])
+def test_a_small_gain_is_told_from_a_loss_by_what_lasts_over_the_noise_of_now_and_neither_is_named_before(
+    noise: float, told: bool
+) -> None:
+    calm = [[noise, noise, noise]] * 500
+    run = Choices(usual=1.0).run([*calm, *[[8.0, 0.1 + noise, 2000.0]] * 100], (-1.0, 2.0, 0.0, 0.0))
+    assert run.counted[:500].all()
+    assert not run.counted[500].any()
+    assert run.counted[-1].all() == told
+    assert (run.evidence[-1].tolist() == [0.0, 2.0]) == told
+
+
 def test_the_score_of_what_is_not_explained_is_the_root_of_the_smallest_J() -> None:
     run = Choices().run([[50.0, 36.0, 45.0], [np.nan, 1e3, 1e3], [1.0, 1.0, 1.0]])
     assert run.unexplained[0] == pytest.approx(6.0)

@@ -9,8 +9,9 @@ stays about p while the hypothesis is right and grows with what it leaves unexpl
 hypothesis explains the data as long as J_k <= max(score_floor^2, tolerance^2 max_i J_i): the level of healthy flight,
 or that of model error for a fault that large. Of those that do, the ones with fewest faults are preferred, and among
 them the smallest J. Actuators fail towards less: one that would have to deliver more than commanded is believed beside
-one of opposite effect that delivers less where the mean J is smaller by gain_penalty; while the mean speaks for it by
-less, neither is held responsible. Several that would have to deliver more are never believed: others that deliver less
+one of opposite effect that delivers less where the mean J is smaller by gain_penalty, or for as long as level_s by
+gain_penalty times lambda, which may be below 1 here, and a quarter at most; while the mean speaks for it by less,
+neither is held responsible. Several that would have to deliver more are never believed: others that deliver less
 do the same. Two that deliver less are believed, although one by itself explains the data up to the level of health or
 of model error, where the mean J of the two is smaller by far and neither loss is small beside the other. The one
 believed so far stays until another is clearly better (half its J), so noise does not make names flicker. Where none
