@@ -69,7 +69,8 @@ def whitened(columns: FloatArray, own: NDArray[np.bool_], noise: Autoregression)
     for m in range(_LEAST, order):
         short = rows[before[rows] == m]
         if len(short):
-            left = columns[:, short] - sum(d * columns[:, short - 1 - j] for j, d in enumerate(noise.coefficients[m]))
+            predicted = np.cumsum(noise.coefficients[m] * columns[:, short[:, None] - 1 - np.arange(m)], axis=-1)
+            left = columns[:, short] - predicted[:, :, -1]
             filtered[:, short] = left * np.sqrt(noise.variances[order] / noise.variances[m])
     return rows, filtered[:, rows]
 
