@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -299,9 +299,13 @@ def test_a_log_that_ends_in_the_air_is_said_and_no_finding(tmp_path: Path) -> No
     assert not review.wrong
 
 
-def watched(*alarms: LearnedAlarm, lost: bool = False, vehicle: str = "multirotor") -> LogReview:
-    """Return the verdict on a plain flight of which a learned profile says something."""
+def watched(
+    *alarms: LearnedAlarm, lost: bool = False, vehicle: str = "multirotor", then: Sequence[float] = (0.5,) * 4
+) -> LogReview:
+    """Return the verdict on a plain flight of which a learned profile speaks; ``then`` is asked from 25 s on."""
     motors = LogSignal(np.arange(600) / 10, np.full((600, 4), 0.5), ("a", "b", "c", "d"), "", "motors")
+    motors.values[250:] = then
+    force = LogSignal(motors.time_s, np.full((600, 3), -9.81), ("x", "y", "z"), "m/s2", "accelerometer")
     attitude = LogSignal(np.arange(600) / 10, np.zeros((600, 3)), ("roll", "pitch", "yaw"), "", "attitude")
     attitude.values[300:320, 0] = 150.0 * lost
     facts = LogFacts(
@@ -311,7 +315,7 @@ def watched(*alarms: LearnedAlarm, lost: bool = False, vehicle: str = "multiroto
         duration_s=60.0,
         armed=((0.0, 60.0),),
         flight=((1.0, 58.0),),
-        signals={"motors": motors, "attitude": attitude},
+        signals={"motors": motors, "attitude": attitude, "acceleration": force},
         watch=LearnedWatch(20.0, {"motors": 50.0, "inertial": 50.0}, alarms),
     )
     return judged(Path("flight.ulg"), facts)
@@ -366,6 +370,17 @@ def test_an_alarm_that_ended_by_itself_is_information() -> None:
 
 def test_an_alarm_that_lasts_to_the_end_of_the_flight_may_be_short() -> None:
     assert names(watched(replace(LEARNED["actuator_effect"], start_s=49.0, end_s=60.0))) == ["actuator_effect"]
+
+
+@pytest.mark.parametrize(
+    ("then", "weight"),
+    [((0.5, 0.65, 0.5, 0.5), "warning"), ((0.42, 0.58, 0.5, 0.5), "information")],
+    ids=["a motor is made up for", "the opposite one gives way: wind, a load that moved"],
+)
+def test_motors_that_lift_as_before_lack_nothing(then: Sequence[float], weight: str) -> None:
+    (found,) = watched(replace(LEARNED["actuator_effect"], end_s=60.0, size=0.15), then=then).findings
+    assert found.judgement.weight == weight
+    assert any("together lift" in line for line in found.counter) is (weight == "information")
 
 
 @pytest.mark.parametrize(("until", "weight"), [(32.0, "information"), (DISARM_S, "critical")])

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from math import isnan, nan
 
-from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts
+import numpy as np
+
+from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
 from replay.review.findings.loss_of_control import lost_s
 from replay.review.findings.rule import Judgement, UnjudgedError
 
@@ -23,6 +25,8 @@ _ACCURACY_M = 2.5
 8 m/s of gusty wind after a calm begin a healthy flight's came to 0.75 m."""
 _LANDING_S = 3.0
 """Seconds ahead of touch-down that are left out: the air that rotors throw at the ground comes back."""
+_CARRIED_S = 5.0
+"""Chosen: as long as an alarm has to last; over it climbs and turns average out."""
 
 
 def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Iterator[Judgement]:
@@ -42,7 +46,8 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
         and _own(alarm)
         and _until_s(alarm, facts, end_s) - alarm.start_s >= _LEAST_S
     ]
-    learned_s = watch.until_s - max((start for start, _ in facts.flight if start < watch.until_s), default=0.0)
+    begin_s = max((start for start, _ in facts.flight if start < watch.until_s), default=0.0)
+    learned_s = watch.until_s - begin_s
     wrong = {alarm.observer: alarm for alarm in reversed(lasting) if not alarm.possible}
     sound = [alarm for alarm in lasting if alarm.observer not in wrong]
     if wrong and not sound:
@@ -57,7 +62,8 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
         own = staying or every
         largest = max(own, key=lambda alarm: alarm.share)
         accurate = channel in _POSITIONS and largest.size < _ACCURACY_M
-        enough = bool(staying) and largest.share >= _least_share(channels, largest) and not accurate
+        carried = _still_carried(facts, largest, begin_s)
+        enough = bool(staying) and largest.share >= _least_share(channels, largest) and not (accurate or carried)
         # a heading off and a turn rate off look alike to the sensors that are left
         either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
         yield Judgement(
@@ -69,6 +75,7 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
                 f"{own[0].start_s:.1f} to {own[-1].end_s:.1f} s",
                 f"up to {largest.share:.1f} times the threshold",
             ),
+            counter=carried,
             confidence="likely" if enough and not either else "possible",
             weight="warning" if enough else "information",
             plots=(f"estimate_{channel}",),
@@ -78,6 +85,36 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
 def _least_share(channels: Mapping[tuple[str, ...], float], alarm: LearnedAlarm) -> float:
     """Return how many times its threshold an alarm has to be; NaN of a channel that is not asked for."""
     return next((share for words, share in channels.items() if alarm.channel.startswith(words)), nan)
+
+
+def _still_carried(facts: LogFacts, alarm: LearnedAlarm, begin_s: float) -> tuple[str, ...]:
+    """Return what says that the motors together lift as before, so that none lacks what an alarm says it does.
+
+    What turns a vehicle from outside (wind, a load that moved) takes command from one motor and gives it to another; a
+    motor that lacks thrust leaves the others' commands, and what all lift for their commands goes down.
+    """
+    motors, force = facts.signals.get("motors"), facts.signals.get("acceleration")
+    if facts.watch is None or not motors or not force or not alarm.channel.startswith("motor"):
+        return ()
+    # after take-off, at whose begin the ground still carries
+    times = np.arange(begin_s + _CARRIED_S, facts.watch.until_s - _CARRIED_S, _CARRIED_S)
+    before = np.array([_lift(motors, force, at, at + _CARRIED_S) for at in times])
+    usual = float(np.median(before))
+    end_s = _until_s(alarm, facts, alarm.end_s)
+    now = _lift(motors, force, alarm.start_s, end_s) / usual
+    asked = float(motors.during(alarm.start_s, end_s).values.sum(axis=1).mean())
+    lacking, moved = alarm.size / asked, float(np.ptp(before)) / usual
+    # half as much as it would cost, where that is more than it moved by itself
+    if lacking > moved and now > 1.0 - lacking / 2:
+        lifted = f"{100 * now:.0f} % of what they did for their commands, not {100 - 100 * lacking:.0f} %"
+        return (f"the motors together lift {lifted}: something from outside turns the vehicle",)
+    return ()
+
+
+def _lift(motors: LogSignal, force: LogSignal, start_s: float, end_s: float) -> float:
+    """Return the specific force along the rotors for the sum of the motors' commands, on the mean of a time."""
+    lifts, asked = force.during(start_s, end_s).values[:, 2], motors.during(start_s, end_s).values
+    return float(abs(lifts.mean()) / asked.sum(axis=1).mean()) if len(lifts) and len(asked) else nan
 
 
 def _overlaps(alarms: Sequence[LearnedAlarm], watch: LearnedWatch, channel: str) -> bool:
