@@ -28,7 +28,7 @@ from synthetic_run import START_NS, event
 import fauio
 from monitor.alarms.command_watch import CommandSent
 from replay.review import learning
-from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
+from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal, flown
 from replay.review.findings.loss_of_control import tumbles
 from replay.review.review import LogReview, judged, review_log
 from replay.review.rules import RULES
@@ -316,7 +316,7 @@ def watched(
         armed=((0.0, 60.0),),
         flight=((1.0, 58.0),),
         signals={"motors": motors, "attitude": attitude, "acceleration": force},
-        watch=LearnedWatch(20.0, {"motors": 50.0, "inertial": 50.0}, alarms),
+        watch=LearnedWatch(20.0, alarms),
     )
     return judged(Path("flight.ulg"), facts)
 
@@ -556,6 +556,15 @@ def test_roll_says_nothing_of_a_vehicle_that_stands_on_its_nose(pitch: float, fo
     attitude = LogSignal(np.arange(100) / 10, np.tile([125.0, pitch, 0.0], (100, 1)), ("r", "p", "y"), "deg", "ATT")
     facts = LogFacts("ArduPilot", "multirotor", 0, 10.0, ((0.0, 10.0),), ((0.0, 10.0),), {"attitude": attitude})
     assert len(tumbles(facts)) == found
+
+
+def test_what_the_ground_holds_does_not_fly_whatever_a_damaged_stamp_says() -> None:
+    times = np.append(np.arange(600) / 10, 1e12)  # the last one thirty thousand years off
+    turn = np.where((times >= 20.0) & (times < 40.0), 30.0, 0.0)
+    wanted = LogSignal(times, np.stack([turn, 0 * turn, 0 * turn], axis=1), ("r", "p", "y"), "deg", "ATT")
+    signals = {"attitude": replace(wanted, values=0 * wanted.values), "attitude_wanted": wanted}
+    facts = LogFacts("ArduPilot", "multirotor", 0, 60.0, ((0.0, 60.0),), ((0.0, 60.0),), signals)
+    assert np.ravel(flown(facts)) == pytest.approx([0.0, 20.0, 40.0, 60.0], abs=0.5)
 
 
 @pytest.mark.parametrize("output", ["Ch", "Chan"])

@@ -67,8 +67,7 @@ def learned(path: Path, facts: LogFacts) -> LogFacts:
         except FauioError as error:
             why = " ".join(str(error).replace(str(path), path.name).split())
             return _unlearned(facts, f"nothing could be learned from the first {_LEARNED_S:g} s of flight: {why}")
-    watched = {name: watch.watched_s for name, watch in replay.watches.items() if watch.watched_s}
-    if not watched:
+    if not any(watch.watched_s for watch in replay.watches.values()):
         return _unlearned(facts, "what was learned watched nothing of the flight")
     alarms = tuple(_alarms(replay, facts, until_s))
     drawn = {
@@ -76,7 +75,7 @@ def learned(path: Path, facts: LogFacts) -> LogFacts:
         for alarm in alarms
         if (estimate := _estimate(replay.traces, alarm, facts))
     }
-    watch = LearnedWatch(until_s, watched, alarms)
+    watch = LearnedWatch(until_s, alarms)
     return replace(facts, signals={**facts.signals, **drawn}, watch=watch)
 
 

@@ -131,10 +131,9 @@ class LearnedAlarm:
 
 @dataclass(frozen=True, slots=True)
 class LearnedWatch:
-    """What a profile learned from the flight until a time says of the rest, and how long each observer watched."""
+    """What a profile learned from the flight until a time says of the rest."""
 
     until_s: float
-    watched_s: Mapping[str, float]
     alarms: tuple[LearnedAlarm, ...]
 
 
@@ -263,12 +262,14 @@ def _unmoved(facts: LogFacts) -> list[tuple[float, float]]:
     """Return when a vehicle was to turn by much and did not turn at all, as only the ground holds one."""
     attitude, wanted = facts.signals.get("attitude"), facts.signals.get("attitude_wanted")
     samples = round(_STANDS_S / _STEP_S)
-    times = np.arange(attitude.time_s[0], attitude.time_s[-1], _STEP_S) if attitude is not None else np.empty(0)
-    if attitude is None or wanted is None or len(times) < samples:
+    # samples of its own, and no grid of times: one damaged stamp would make that endless
+    every = max(1, round(_STEP_S * attitude.rate_hz)) if attitude is not None else 1
+    if attitude is None or wanted is None or len(attitude.time_s) < samples * every:
         return []
-    angles, asked = attitude.at(times)[:, :2], wanted.at(times)[:, :2]
+    times, angles = attitude.time_s[::every], attitude.values[::every, :2]
     still = np.ptp(sliding_window_view(angles, samples, axis=0), axis=-1) < _STILL_DEG
-    apart = sliding_window_view(degrees_apart(asked, angles).max(axis=1), samples).min(axis=-1) > _ASKED_DEG
+    asked = degrees_apart(wanted.at(times)[:, :2], angles).max(axis=1)
+    apart = sliding_window_view(asked, samples).min(axis=-1) > _ASKED_DEG
     return spans_where(times, np.convolve(still.all(axis=1) & apart, np.ones(samples)) > 0.5)
 
 
