@@ -48,10 +48,10 @@ def learned(path: Path, facts: LogFacts) -> LogFacts:
         return _unlearned(
             facts, f"{end - start:.0f} s of flight are too few to learn from; it takes {_LEAST_FLIGHT_S:g} s"
         )
-    attitude = facts.signals.get("attitude")
-    if attitude is None or attitude.rate_hz < _LEAST_HZ:
-        often = "does not come" if attitude is None else f"comes {attitude.rate_hz:.2g} times a second"
-        return _unlearned(facts, f"the attitude {often}; it takes {_LEAST_HZ:g} to learn from one flight")
+    if (often := facts.signal("attitude").rate_hz) < _LEAST_HZ:
+        return _unlearned(
+            facts, f"the attitude comes {often:.2g} times a second; it takes {_LEAST_HZ:g} to learn from one flight"
+        )
     until_s = start + _LEARNED_S
     wanted, types = fit_reading(None)
 

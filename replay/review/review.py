@@ -156,8 +156,8 @@ def judged(path: Path, facts: LogFacts, damage: Sequence[Damage] = ()) -> LogRev
 def _taught(facts: LogFacts, until_s: float) -> str:
     """Return what was learned as healthy, with what a motor that is weak from the begin would show in."""
     said = f"what began before {until_s:.0f} s was learned as the vehicle's own make"
-    motors = facts.signals.get("motors")
-    if motors is None:
+    motors = facts.signal("motors")
+    if not motors:
         return said
     during = motors.values[facts.in_flight(motors.time_s) & (motors.time_s < until_s)]
     shares = zip(motors.names, 100.0 * during.mean(axis=0), strict=True) if len(during) else ()
@@ -214,7 +214,7 @@ def _finding_json(finding: ReviewFinding) -> dict[str, Any]:
         "confidence": judgement.confidence,
         "rank": finding.rank or None,
         "start_s": round(judgement.start_s, 3),
-        "end_s": round(judgement.end_s, 3),
+        "end_s": round(judgement.span[1], 3),
         "text": judgement.text,
         "evidence": list(judgement.evidence),
         "counter_evidence": list(finding.counter),

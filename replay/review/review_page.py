@@ -36,7 +36,7 @@ def review_page(review: LogReview) -> str:
             class_="note",
         ),
         section("Findings", *_findings(review, charts)),
-        section("Time line", table(("s", "what", ""), _entries(review), numbers=[0])),
+        section("Time line", table(("s", "kind", "what"), _entries(review), numbers=[0])),
         section("What was looked for and not there", element("p", ", ".join(review.watched) or "Nothing.")),
         section("What could not be judged, and why", table(("findings", "why"), review.reasons())),
         section("What could not be read", table(("file", "what"), _damage(review))) if review.damage else "",
@@ -55,8 +55,7 @@ def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
             "article",
             element(
                 "h3",
-                (f"{finding.rank.capitalize()}: " if finding.rank else "")
-                + f"{said.start_s:.1f} s: {finding.rule.title}",
+                f"{(finding.rank or said.weight).capitalize()}: {said.start_s:.1f} s: {finding.rule.title}",
             ),
             element("p", said.text[0].upper() + said.text[1:] + "."),
             facts(
@@ -94,8 +93,7 @@ def _signals(
 ) -> Html:
     """Return charts of the signals of some names between two times, one below the other."""
     start_s, end_s = max(start_s, 0.0), min(end_s, review.facts.duration_s)
-    known = [(name, review.facts.signals[name]) for name in names if name in review.facts.signals]
-    shown = [(name, part) for name, whole in known if len((part := whole.during(start_s, end_s)).time_s)]
+    shown = [(name, part) for name in names if (part := review.facts.signal(name).during(start_s, end_s))]
     if not shown:
         return element("p", "The log holds nothing to draw of it.", class_="note")
     drawn = []

@@ -45,9 +45,8 @@ class LogSignal:
 
     def at(self, times_s: Floats) -> Floats:
         """Return the values last known at m times (m, k), NaN ahead of the first."""
-        index = np.searchsorted(self.time_s, times_s, side="right") - 1
-        known = np.where((index >= 0)[:, None], self.values[np.maximum(index, 0)], np.nan)
-        return np.asarray(known, np.float64)
+        unknown = np.full((1, self.values.shape[1]), np.nan)
+        return np.concatenate([unknown, self.values])[np.searchsorted(self.time_s, times_s, side="right")]
 
     @property
     def rate_hz(self) -> float:
@@ -156,6 +155,10 @@ class LogFacts:
     lacks: Mapping[str, str] = field(default_factory=dict)  # why a signal is not there or says nothing, by its name
     watch: LearnedWatch | None = None  # what a profile learned from the flight's own begin says of the rest
 
+    def signal(self, name: str) -> LogSignal:
+        """Return a signal, one without a row where the log does not have it."""
+        return self.signals.get(name, NO_SIGNAL)
+
     @property
     def flies(self) -> bool:
         """Whether a vehicle of its kind leaves the ground."""
@@ -244,15 +247,15 @@ def off_ground(armed: Spans, height: LogSignal, receiver: LogSignal = NO_SIGNAL)
 def flown(facts: LogFacts) -> list[tuple[float, float]]:
     """Return the parts of a flight in which a vehicle did not stand on the ground, whatever the log says."""
     flight = list(facts.flight)
-    for standing in (_idle(facts.signals.get("motors")), _unmoved(facts)):
+    for standing in (_idle(facts.signal("motors")), _unmoved(facts)):
         edges = [(-np.inf, 1.0), *(edge for start, end in standing for edge in ((start, 0.0), (end, 1.0)))]
         flight = overlap(flight, state_spans(edges, np.inf))
     return [(start, end) for start, end in flight if end - start >= _HOP_S]
 
 
-def _idle(motors: LogSignal | None) -> list[tuple[float, float]]:
+def _idle(motors: LogSignal) -> list[tuple[float, float]]:
     """Return when all motors of a multirotor idled alike."""
-    if motors is None or len(motors.names) < _FEWEST_ROTORS:
+    if len(motors.names) < _FEWEST_ROTORS:
         return []
     idle = (np.ptp(motors.values, axis=1) < _ALIKE) & (motors.values.max(axis=1) < _IDLE_COMMAND)
     return spans_where(motors.time_s, idle, _STANDS_S)
@@ -260,11 +263,10 @@ def _idle(motors: LogSignal | None) -> list[tuple[float, float]]:
 
 def _unmoved(facts: LogFacts) -> list[tuple[float, float]]:
     """Return when a vehicle was to turn by much and did not turn at all, as only the ground holds one."""
-    attitude, wanted = facts.signals.get("attitude"), facts.signals.get("attitude_wanted")
-    samples = round(_STANDS_S / _STEP_S)
+    attitude, wanted = facts.signal("attitude"), facts.signal("attitude_wanted")
     # samples of its own, and no grid of times: one damaged stamp would make that endless
-    every = max(1, round(_STEP_S * attitude.rate_hz)) if attitude is not None else 1
-    if attitude is None or wanted is None or len(attitude.time_s) < samples * every:
+    samples, every = round(_STANDS_S / _STEP_S), max(1, round(_STEP_S * attitude.rate_hz))
+    if not wanted or len(attitude.time_s) < samples * every:
         return []
     times, angles = attitude.time_s[::every], attitude.values[::every, :2]
     still = np.ptp(sliding_window_view(angles, samples, axis=0), axis=-1) < _STILL_DEG

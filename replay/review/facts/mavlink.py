@@ -119,7 +119,7 @@ def _vehicle(records: LogRecords) -> tuple[int, int, int]:
 
 def _statements(records: LogRecords, system: int, kind: int, autopilot: int, modes: LogSignal) -> Iterator[Statement]:
     for at, row in records.listed("STATUSTEXT", system):
-        yield Statement(at, "text", str(row.get("text", "")), int(row.get("severity", 6)))
+        yield Statement(at, "text", str(row.get("text", "")).strip(), int(row.get("severity", 6)))
     for at, value in replace(modes, values=modes.values[:, 1:2]).changes():
         yield Statement(at, "mode", f"mode {mode_name(autopilot, kind, _ARMED, int(value)) or int(value)}")
 

@@ -82,7 +82,8 @@ def px4_facts(records: LogRecords) -> LogFacts:
     ratios = ["vel_test_ratio", "pos_test_ratio", "hgt_test_ratio"]
     signals["ratios"] = get("estimator_status", ratios, ["velocity", "position", "height"], "")
     counters = [f"{name}_reset_counter" for name in ("xy", "z", "vxy", "vz")]
-    signals["resets"] = get("vehicle_local_position", counters, ["position", "height", "velocity", "climb"], "")
+    counted = get("vehicle_local_position", counters, ["position", "height", "velocity", "climb"], "")
+    signals["resets"] = counted.above_begin()
     signals["vibration"] = get("vehicle_imu_status", ["accel_vibration_metric"], ["vibration"], "m/s2")
     clipping = get("vehicle_imu_status", [f"accel_clipping[{k}]" for k in range(3)], ["x", "y", "z"], "samples")
     signals["clipping"] = clipping.each_sample("clipped", np.sum)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from replay.review.findings.learned_alarms import alarms_of
 from replay.review.findings.rule import Rule
 
 _ACTUATORS = "motor", "esc", "prop", "aileron", "elevator", "rudder", "throttle", "steering"
 
+
 RULE = Rule(
-    name="actuator_effect",
     title="An actuator does less than it did",
     stage="motion",
     physics="Motion follows commands as the first 40 s of the flight show: a copter's angular acceleration follows its "
@@ -25,5 +23,5 @@ RULE = Rule(
     ),
     needs=("watch",),
     plots=("motors", "attitude", "airspeed"),
-    judge=partial(alarms_of, channels={_ACTUATORS: 1.0}),
+    judge=lambda facts: alarms_of(facts, {_ACTUATORS: 1.0}),
 )

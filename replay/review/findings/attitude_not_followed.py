@@ -38,8 +38,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, motors: LogS
         peaks = np.nanmax(about.values, axis=0, initial=0.0)
         full = [motor for motor, peak in zip(motors.names, peaks.tolist(), strict=True) if peak > FULL]
         yield Judgement(
-            start_s=start,
-            end_s=end,
+            span=(start, end),
             text=f"{name} went up to {most:.0f} degrees from what the autopilot wanted, for {end - start:.1f} s"
             + (f", with {' and '.join(full)} at full command" if full else ""),
             evidence=(
@@ -72,13 +71,12 @@ _AGO = 6
 
 
 def _high(facts: LogFacts, at_s: float) -> Iterator[str]:
-    height = facts.signals.get("height")
-    if height is not None:
+    height = facts.signal("height")
+    if height:
         yield f"{height.origin}: {height.at(np.array([at_s]))[0, 0]:.1f} m above where the log begins"
 
 
 RULE = Rule(
-    name="attitude_not_followed",
     title="Attitude not followed",
     stage="motion",
     physics="An autopilot holds roll and pitch within some degrees of what it wants as long as its motors have room. "

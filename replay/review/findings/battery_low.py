@@ -32,8 +32,7 @@ def _judge(facts: LogFacts, battery: LogSignal) -> Iterator[Judgement]:
     for start, end in spans_in_control(facts, battery, volts < limit * cells, _LEAST_S)[:1]:
         least = float(battery.during(start, end).only.min())
         yield Judgement(
-            start_s=start,
-            end_s=end,
+            span=(start, end),
             text=f"the battery was down to {least:.1f} V, {least / cells:.2f} V for each of {cells} cells",
             evidence=(
                 f"{battery.origin}: below {limit * cells:.1f} V from {start:.1f} to {end:.1f} s",
@@ -45,7 +44,6 @@ def _judge(facts: LogFacts, battery: LogSignal) -> Iterator[Judgement]:
 
 
 RULE = Rule(
-    name="battery_low",
     title="Battery empty",
     stage="supply",
     physics="Below 3.3 V a cell's voltage collapses under load: motors get less than their commands ask for, and in "

@@ -21,8 +21,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 continue
             known, ends = sorted(watch.known), ends_flight(command.name, command.values)
             yield Judgement(
-                start_s=command.time_s,
-                end_s=command.time_s,
+                span=(command.time_s, command.time_s),
                 text=said.text,
                 evidence=(
                     f"{'MAV_CMD ' * command.name.isdigit()}{command.name} at {command.time_s:.2f} s with "
@@ -35,8 +34,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             )
     if flood_s is not None:
         yield Judgement(
-            start_s=flood_s,
-            end_s=flood_s + 1.0,
+            span=(flood_s, flood_s + 1.0),
             text=f"up to {watch.most} commands a second reached the vehicle in flight",
             evidence=(f"more than {FLOOD} commands within a second, from {flood_s:.2f} s on",),
             confidence="certain",
@@ -44,7 +42,6 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
 
 
 RULE = Rule(
-    name="commands_from_outside",
     title="Commands from a new sender in flight",
     stage="link",
     physics="MAVLink without signing obeys everybody. An attacker disarms, reboots, changes the mode, rewrites the "

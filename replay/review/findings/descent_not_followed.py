@@ -37,8 +37,7 @@ def _judge(facts: LogFacts, wanted: LogSignal, height: LogSignal, motors: LogSig
             continue
         down = float(np.nanmedian(asked[within]))
         yield Judgement(
-            start_s=start,
-            end_s=end,
+            span=(start, end),
             text=f"the vehicle was to descend at {-down:.1f} m/s and climbed {gained:.1f} m instead, with its motors "
             f"at {100 * np.median(collective[within]):.0f} % of full command",
             evidence=(
@@ -58,7 +57,6 @@ def _smoothed(time_s: Floats, values: Floats, at_s: Floats) -> Floats:
 
 
 RULE = Rule(
-    name="descent_not_followed",
     title="Descent not followed",
     stage="motion",
     physics="At the least thrust that the autopilot allows (PX4's MPC_THR_MIN, ArduPilot's SPIN_MIN) a light, strong "

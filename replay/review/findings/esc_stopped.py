@@ -44,8 +44,7 @@ def _judge(facts: LogFacts, rpm: LogSignal, motors: LogSignal) -> Iterator[Judge
             turned, asked = float(np.median(rpm.values[within, k])), float(np.median(command[within, k]))
             normal = usual * float(np.median(thrust[within, k])) ** 0.5
             yield Judgement(
-                start_s=start,
-                end_s=end,
+                span=(start, end),
                 text=f"{name} turned at {turned:.0f} rpm while commanded to {100 * asked:.0f} %: motor or ESC failed",
                 evidence=(
                     f"{rpm.origin}: {turned:.0f} rpm, usual at that command {normal:.0f} rpm",
@@ -64,7 +63,6 @@ def _own(thrust: Floats, speed: Floats, during: NDArray[np.bool_], k: int) -> bo
 
 
 RULE = Rule(
-    name="esc_stopped",
     title="Motor slower than commanded",
     stage="rpm",
     physics="Thrust goes with the square of speed and about with command, so speed over the root of the command is the "

@@ -21,8 +21,7 @@ def _judge(facts: LogFacts, resets: LogSignal) -> Iterator[Judgement]:
         late = resets.time_s[1:][(np.diff(resets.values[:, k]) > 0) & judged[1:]].tolist()
         if late:
             yield Judgement(
-                start_s=late[0],
-                end_s=late[-1],
+                span=(late[0], late[-1]),
                 text=f"the estimator set its {name} anew {len(late)} time{'s' * (len(late) > 1)} in flight",
                 evidence=(f"{resets.origin}: counter of {name} from {late[0]:.1f} s on",),
                 weight="warning" if name in ("position", "height") else "information",
@@ -30,7 +29,6 @@ def _judge(facts: LogFacts, resets: LogSignal) -> Iterator[Judgement]:
 
 
 RULE = Rule(
-    name="estimator_reset",
     title="Estimator reset in flight",
     stage="estimator",
     physics="An estimator that has refused a source for seconds takes it up again by a jump.",

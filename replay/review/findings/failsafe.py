@@ -23,8 +23,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
         if not times:
             continue
         yield Judgement(
-            start_s=times[0],
-            end_s=times[-1],
+            span=(times[0], times[-1]),
             text=f"the autopilot announced: {text}",
             evidence=(f"at {times[0]:.1f} s" + (f", {len(times)} times" if len(times) > 1 else ""),),
             confidence="certain",
@@ -32,7 +31,6 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
 
 
 RULE = Rule(
-    name="failsafe",
     title="Failsafe announced",
     stage="reaction",
     physics="The autopilot compares what it measures with limits of its own and acts; that act can be the incident.",

@@ -19,8 +19,7 @@ def _judge(facts: LogFacts, gps: LogSignal) -> Iterator[Judgement]:
     for start, end in spans_in_control(facts, gps, known & (gps.only < FIX_3D), _LEAST_S)[:1]:
         fewest = int(gps.during(start, end).values[:, 1].min())
         yield Judgement(
-            start_s=start,
-            end_s=end,
+            span=(start, end),
             text=f"GPS lost its fix for {end - start:.1f} s in flight, with {fewest} satellites",
             evidence=(f"{gps.origin}: fix below 3 from {start:.1f} to {end:.1f} s, {fewest} satellites at least",),
             confidence="certain",
@@ -28,7 +27,6 @@ def _judge(facts: LogFacts, gps: LogSignal) -> Iterator[Judgement]:
 
 
 RULE = Rule(
-    name="gps_lost",
     title="GPS fix lost in flight",
     stage="sensor",
     physics="Without a fix the estimator goes on by inertia alone, and drifts by metres within seconds.",

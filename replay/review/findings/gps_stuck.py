@@ -24,8 +24,7 @@ def _judge(facts: LogFacts, position: LogSignal) -> Iterator[Judgement]:
         jump = float(steps[np.searchsorted(position.time_s, end)])
         if jump > _JUMP_M:
             yield Judgement(
-                start_s=start,
-                end_s=end,
+                span=(start, end),
                 text=f"GPS repeated one position for {end - start:.1f} s and then was {jump:.0f} m away",
                 evidence=(
                     f"{position.origin}: the same position from {start:.1f} to {end:.1f} s, then {jump:.1f} m off",
@@ -34,7 +33,6 @@ def _judge(facts: LogFacts, position: LogSignal) -> Iterator[Judgement]:
 
 
 RULE = Rule(
-    name="gps_stuck",
     title="GPS repeated a position",
     stage="sensor",
     physics="A receiver that computes fixes gives another centimetre each time. One that is stuck, or whose last fix "

@@ -21,15 +21,13 @@ def _judge(facts: LogFacts, ratios: LogSignal) -> Iterator[Judgement]:
         for start, end in spans_in_control(facts, ratios, ratios.values[:, k] > _REFUSED, _LEAST_S)[:1]:
             most = float(np.nanmax(ratios.during(start, end).values[:, k]))
             yield Judgement(
-                start_s=start,
-                end_s=end,
+                span=(start, end),
                 text=f"the estimator refused its measurements of {name} for {end - start:.1f} s",
                 evidence=(f"{ratios.origin}: {name} up to {most:.1f} times what it admits, from {start:.1f} s on",),
             )
 
 
 RULE = Rule(
-    name="innovations_refused",
     title="Measurements refused by the estimator",
     stage="estimator",
     physics="Motion predicted from gyros and accelerometers and measured by GPS or barometer disagree by more than "

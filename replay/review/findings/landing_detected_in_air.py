@@ -21,8 +21,7 @@ def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Ju
             continue
         at = said[-1].time_s
         yield Judgement(
-            start_s=at,
-            end_s=end,
+            span=(at, end),
             text="the landing detector said 'landed' in the air; the motors were stopped and the vehicle fell "
             f"{fell:.0f} m",
             evidence=(
@@ -36,7 +35,6 @@ def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Ju
 
 
 RULE = Rule(
-    name="landing_detected_in_air",
     title="Landing detected in the air",
     stage="decision",
     physics="A landing detector that sees low thrust and no vertical motion calls it the ground; autopilots then stop "

@@ -19,11 +19,10 @@ def _judge(facts: LogFacts, height: LogSignal) -> Iterator[Judgement]:
     ends = [spans[-1][1] for spans in (facts.flight, facts.armed) if spans]
     if not facts.flies or len(ends) < 2 or min(ends) < late or not len(last) or last[-1] < _HIGH_M:
         return
-    battery = facts.signals.get("battery")
-    volts = "" if battery is None else f"; the last voltage is {battery.values[-1, 0]:.1f} V"
+    battery = facts.signal("battery")
+    volts = f"; the last voltage is {battery.values[-1, 0]:.1f} V" if battery else ""
     yield Judgement(
-        start_s=facts.duration_s,
-        end_s=facts.duration_s,
+        span=(facts.duration_s, facts.duration_s),
         text=f"the log ends in the air, {last[-1]:.0f} m above where it begins: power was lost, or recording stopped",
         evidence=(f"{height.origin}: {last[-1]:.1f} m at the end, armed and not landed{volts}",),
         confidence="possible",
@@ -32,7 +31,6 @@ def _judge(facts: LogFacts, height: LogSignal) -> Iterator[Judgement]:
 
 
 RULE = Rule(
-    name="log_ends_in_flight",
     title="Log ends in flight",
     stage="supply",
     physics="An autopilot without power writes nothing more.",

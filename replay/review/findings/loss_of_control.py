@@ -33,9 +33,7 @@ _ON_ITS_BACK_S = 0.3
 
 def stops(facts: LogFacts) -> list[tuple[float, float, float]]:
     """Return when all motors were commanded to stop while the vehicle then fell: from, to, and metres it fell."""
-    motors, height = facts.signals.get("motors"), facts.signals.get("height")
-    if motors is None or height is None or not len(motors.time_s):
-        return []
+    motors, height = facts.signal("motors"), facts.signal("height")
     armed_or_just = [(start, end + 1.0) for start, end in facts.armed]
     still = (motors.values < STOPPED).all(axis=1) & inside(motors.time_s, armed_or_just)
     flown = np.flatnonzero((motors.values > STOPPED).any(axis=1))
@@ -43,16 +41,15 @@ def stops(facts: LogFacts) -> list[tuple[float, float, float]]:
     for start, end in spans_where(motors.time_s, still, _STOPPED_S):
         if not len(flown) or start < motors.time_s[flown[0]]:
             continue
-        fell = _fall(height.time_s, height.only, start)
+        fell = _fall(height, start)
         if fell is not None and fell >= FELL_M:
             found.append((start, end, fell))
     return found
 
 
-def _fall(time_s: Floats, height: Floats, start_s: float) -> float | None:
+def _fall(height: LogSignal, start_s: float) -> float | None:
     """Return by how much a height goes down within some seconds of a time."""
-    before = height[(time_s > start_s - 1.0) & (time_s <= start_s)]
-    after = height[(time_s > start_s) & (time_s <= start_s + _FALL_S)]
+    before, after = height.during(start_s - 1.0, start_s).only, height.during(start_s, start_s + _FALL_S).only
     if not len(before) or not len(after):
         return None
     # rotors at work change the pressure at the barometer: a reading that jumps up and stays is no fall
@@ -61,8 +58,8 @@ def _fall(time_s: Floats, height: Floats, start_s: float) -> float | None:
 
 def tumbles(facts: LogFacts) -> list[tuple[float, float]]:
     """Return from when to when a multirotor was beyond what it is flown at."""
-    attitude = facts.signals.get("attitude")
-    if attitude is None or facts.vehicle != "multirotor":
+    attitude = facts.signal("attitude")
+    if not attitude or facts.vehicle != "multirotor":
         return []
     over = (tilts_deg(attitude) > _UPSIDE_DOWN) & facts.in_flight(attitude.time_s)
     return [span for span in spans_where(attitude.time_s, over, _ON_ITS_BACK_S) if not undisturbed(facts, span[0])]
@@ -79,9 +76,8 @@ def undisturbed(facts: LogFacts, start_s: float) -> bool:
 
     A vehicle that has turned over falls, and meets the ground: an attitude without either is the estimator's error.
     """
-    force, height = facts.signals.get("acceleration"), facts.signals.get("height")
-    fell = None if height is None else _fall(height.time_s, height.only, start_s)
-    if force is None or fell is None:
+    force, fell = facts.signal("acceleration"), _fall(facts.signal("height"), start_s)
+    if not force or fell is None:
         return False
     values = force.during(start_s - _ABOUT_S, start_s + _FALL_S).values
     blow = float(np.linalg.norm(values, axis=1).max(initial=0.0))

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from replay.review.facts.log_facts import Floats, LogFacts, LogSignal
+from replay.review.facts.log_facts import LogFacts, LogSignal
 from replay.review.findings.loss_of_control import FULL, spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
@@ -24,14 +23,15 @@ default of PX4's and ArduPilot's position modes, half as much again in sports.""
 def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
     if len(motors.names) < 4:
         return
+    # there the air turns a fast vehicle, too
+    dashes = (np.abs(facts.signal("attitude_wanted").at(motors.time_s)[:, :2]) > _STEEP_DEG).any(axis=1)
     for k, name in enumerate(motors.names):
         others, own = np.delete(motors.values, k, axis=1), motors.values[:, k]
-        alone = (own > FULL) & (np.median(others, axis=1) < own - _APART) & ~_dashes(facts, motors.time_s)
+        alone = (own > FULL) & (np.median(others, axis=1) < own - _APART) & ~dashes
         for start, end in spans_in_control(facts, motors, alone, _LEAST_S)[:1]:
             mean = float(np.median(others[(motors.time_s >= start) & (motors.time_s <= end)]))
             yield Judgement(
-                start_s=start,
-                end_s=end,
+                span=(start, end),
                 text=f"{name} was at full command for {end - start:.1f} s while the others were at {100 * mean:.0f} %: "
                 "it, its ESC or its propeller gives too little",
                 evidence=(f"{motors.origin}: {name} above {FULL:.2f}, median of the others {mean:.2f}",),
@@ -39,15 +39,7 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
             )
 
 
-def _dashes(facts: LogFacts, times_s: Floats) -> NDArray[np.bool_]:
-    """Return at which of n times the autopilot wanted a steep tilt (n,): there the air turns a fast vehicle, too."""
-    wanted = facts.signals.get("attitude_wanted")
-    asked = np.zeros((len(times_s), 2)) if wanted is None else wanted.at(times_s)[:, :2]
-    return np.asarray((np.abs(asked) > _STEEP_DEG).any(axis=1))
-
-
 RULE = Rule(
-    name="motor_at_limit",
     title="One motor at its most",
     stage="motion",
     physics="The autopilot gives the motor that lifts too little more and more command, until there is no more.",

@@ -28,8 +28,7 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
             mean = float(np.median(others[(times >= start) & (times <= end)]))
             said = ("the log marks the output as stopped, not as zero",) if marked else ()
             yield Judgement(
-                start_s=start,
-                end_s=end,
+                span=(start, end),
                 text=f"{name} was commanded to stop for {end - start:.1f} s while the others were at "
                 f"{100 * mean:.0f} %: the autopilot took it out",
                 evidence=(f"{motors.origin}: {name} below {STOPPED:g}, the others at {mean:.2f}", *said),
@@ -39,7 +38,6 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
 
 
 RULE = Rule(
-    name="motor_command_stopped",
     title="One motor commanded to stop",
     stage="command",
     physics="Autopilots stop a motor whose ESC reports a failure, or for a test of failures (PX4's failure injection).",

@@ -24,8 +24,7 @@ def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Ju
         ]
         why = f": {causes[0].text}" if causes else ", and the log does not say why"
         yield Judgement(
-            start_s=min([start, *(cause.time_s for cause in causes)]),
-            end_s=end,
+            span=(min([start, *(cause.time_s for cause in causes)]), end),
             text=f"all motors were commanded to stop in the air{why}; the vehicle fell {fell:.0f} m",
             evidence=(
                 f"{motors.origin}: all motors at zero from {start:.2f} to {end:.2f} s",
@@ -38,7 +37,6 @@ def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Ju
 
 
 RULE = Rule(
-    name="motors_stopped_in_air",
     title="Motors stopped in the air",
     stage="command",
     physics="A kill switch, a disarming, a termination or a crash detector takes all commands to zero, and the "

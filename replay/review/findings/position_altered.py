@@ -22,8 +22,7 @@ def _judge(facts: LogFacts, apart: LogSignal) -> Iterator[Judgement]:
     for start, end in spans_in_control(facts, apart, apart.only > _APART_M, _LEAST_S)[:1]:
         during = apart.during(start, end).only
         yield Judgement(
-            start_s=start,
-            end_s=end,
+            span=(start, end),
             text=f"the autopilot flew by a position up to {during.max():.0f} m from the one that it estimated, "
             f"for {end - start:.1f} s: something inside it altered the position",
             evidence=(
@@ -35,7 +34,6 @@ def _judge(facts: LogFacts, apart: LogSignal) -> Iterator[Judgement]:
 
 
 RULE = Rule(
-    name="position_altered",
     title="Position altered inside the autopilot",
     stage="decision",
     physics="A controller takes its position from the estimator, as it is. Where the two are metres apart, something "

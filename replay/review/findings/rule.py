@@ -19,9 +19,7 @@ Confidence = Literal["certain", "likely", "possible"]
 class Judgement:
     """One thing that a rule says happened in a log."""
 
-    # from when to when it shows, seconds since the log's begin
-    start_s: float
-    end_s: float
+    span: tuple[float, float]  # from when to when it shows, seconds since the log's begin
     text: str  # what happened, as a sentence without its full stop
     evidence: tuple[str, ...]  # what the log shows for it, figures with their records
     counter: tuple[str, ...] = ()  # what else could have looked so and was not, beside what the rule says of all logs
@@ -31,12 +29,16 @@ class Judgement:
     # whether it begins at its time; a condition of the whole flight comes first only where nothing else does
     event: bool = True
 
+    @property
+    def start_s(self) -> float:
+        """When it begins to show."""
+        return self.span[0]
+
 
 @dataclass(frozen=True, slots=True)
 class Rule:
     """A finding that logs are searched for."""
 
-    name: str  # in reports
     title: str  # in words
     stage: Stage  # where in the order of causes it is
     physics: str  # why it shows in this way
@@ -48,6 +50,11 @@ class Rule:
     judge: Callable[..., Iterable[Judgement]]
     multirotor: bool = False  # whether it holds of multirotors alone
     least_hz: float = 0.0  # how often each of the signals has to come
+
+    @property
+    def name(self) -> str:
+        """What reports call it: as the module in which it stands."""
+        return self.judge.__module__.rpartition(".")[2]
 
 
 class UnjudgedError(Exception):

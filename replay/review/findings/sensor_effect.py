@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from math import inf
 
 from replay.review.findings.learned_alarms import alarms_of
@@ -18,8 +17,8 @@ _CHANNELS = {("gyro_", "accel_"): 1.0, ("gps_", "baro", "motion_"): _OUTSIDE, ("
 """How many times its threshold an alarm has to be, by the begin of the channel's name. Of a compass it stays
 information: its error goes with the heading, of which 40 s show a few (14 degrees in a healthy flight that turned)."""
 
+
 RULE = Rule(
-    name="sensor_effect",
     title="A sensor disagrees with the others",
     stage="sensor",
     physics="GPS, barometer, compass, gyros and accelerometers are tied by kinematics: what one says beside the others "
@@ -32,5 +31,5 @@ RULE = Rule(
     ),
     needs=("watch",),
     plots=("height", "height_estimate", "ratios"),
-    judge=partial(alarms_of, channels=_CHANNELS),
+    judge=lambda facts: alarms_of(facts, _CHANNELS),
 )

@@ -25,8 +25,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, _: LogSignal) -> Iterator[Judge
         meant = bool(modes) and any(word in modes[-1] for word in _ON_PURPOSE) and not stayed
         most = tilts_deg(attitude.during(start, end + 0.1)).max()
         yield Judgement(
-            start_s=start,
-            end_s=end,
+            span=(start, end),
             text=f"the vehicle turned over: {most:.0f} degrees from level for {end - start:.1f} s",
             evidence=(f"{attitude.origin}: beyond 100 degrees from level from {start:.2f} s on",),
             counter=(
@@ -39,7 +38,6 @@ def _judge(facts: LogFacts, attitude: LogSignal, _: LogSignal) -> Iterator[Judge
 
 
 RULE = Rule(
-    name="turned_over",
     title="Turned over",
     stage="motion",
     physics="With a motor or a propeller gone, or with a wrong attitude, a multirotor tumbles within a second.",

@@ -30,8 +30,7 @@ def _judge(facts: LogFacts, vibration: LogSignal) -> Iterator[Judgement]:
     most = float(np.max(vibration.only[judged]))
     spans = spans_where(times, high) or [(float(times[judged][0]), float(times[judged][-1]))]
     yield Judgement(
-        start_s=spans[0][0],
-        end_s=spans[-1][1],
+        span=(spans[0][0], spans[-1][1]),
         text=f"strong vibration, up to {most:.0f} m/s2"
         + (f", and {clipped:.0f} clipped samples of an accelerometer" if clipped else ""),
         evidence=(
@@ -44,15 +43,12 @@ def _judge(facts: LogFacts, vibration: LogSignal) -> Iterator[Judgement]:
 
 
 def _clipped(facts: LogFacts) -> float:
-    clipping = facts.signals.get("clipping")
-    if clipping is None:
-        return 0.0
+    clipping = facts.signal("clipping")
     judged = clipping.only[in_control(facts, clipping.time_s)]
     return float(judged[-1] - judged[0]) if len(judged) else 0.0
 
 
 RULE = Rule(
-    name="vibration",
     title="Strong vibration",
     stage="sensor",
     physics="Vibration beyond an accelerometer's range is cut off on one side more than on the other: the estimator "
