@@ -300,11 +300,17 @@ def test_a_log_that_ends_in_the_air_is_said_and_no_finding(tmp_path: Path) -> No
 
 
 def watched(
-    *alarms: LearnedAlarm, lost: bool = False, vehicle: str = "multirotor", then: Sequence[float] = (0.5,) * 4
+    *alarms: LearnedAlarm,
+    lost: bool = False,
+    vehicle: str = "multirotor",
+    then: Sequence[float] = (0.5,) * 4,
+    gps: Sequence[int] = (3, 12),
 ) -> LogReview:
-    """Return the verdict on a plain flight of which a learned profile speaks; ``then`` is asked from 25 s on."""
+    """Return the verdict on a flight of which a learned profile speaks; ``then`` and ``gps`` are so from 25 s on."""
     motors = LogSignal(np.arange(600) / 10, np.full((600, 4), 0.5), ("a", "b", "c", "d"), "", "motors")
     motors.values[250:] = then
+    fixes = LogSignal(motors.time_s, np.tile([3.0, 12.0], (600, 1)), ("fix", "satellites"), "", "gps")
+    fixes.values[250:] = gps
     force = LogSignal(motors.time_s, np.full((600, 3), -9.81), ("x", "y", "z"), "m/s2", "accelerometer")
     attitude = LogSignal(np.arange(600) / 10, np.zeros((600, 3)), ("roll", "pitch", "yaw"), "", "attitude")
     attitude.values[300:320, 0] = 150.0 * lost
@@ -315,7 +321,7 @@ def watched(
         duration_s=60.0,
         armed=((0.0, 60.0),),
         flight=((1.0, 58.0),),
-        signals={"motors": motors, "attitude": attitude, "acceleration": force},
+        signals={"motors": motors, "attitude": attitude, "acceleration": force, "gps": fixes},
         watch=LearnedWatch(20.0, alarms),
     )
     return judged(Path("flight.ulg"), facts)
@@ -381,6 +387,13 @@ def test_motors_that_lift_as_before_lack_nothing(then: Sequence[float], weight: 
     (found,) = watched(replace(LEARNED["actuator_effect"], end_s=60.0, size=0.15), then=then).findings
     assert found.judgement.weight == weight
     assert any("together lift" in line for line in found.counter) is (weight == "information")
+
+
+@pytest.mark.parametrize(("satellites", "weight"), [(9, "warning"), (5, "information")])
+def test_a_gyro_is_not_judged_by_a_receiver_that_loses_satellites(satellites: int, weight: str) -> None:
+    (found,) = watched(LEARNED["sensor_effect"], gps=(3, satellites)).findings
+    assert found.judgement.weight == weight
+    assert any("satellites" in line for line in found.counter) is (weight == "information")
 
 
 @pytest.mark.parametrize(("until", "weight"), [(32.0, "information"), (DISARM_S, "critical")])

@@ -7,7 +7,7 @@ from math import isnan, nan
 
 import numpy as np
 
-from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
+from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts
 from replay.review.findings.loss_of_control import lost_s
 from replay.review.findings.rule import Judgement, UnjudgedError
 
@@ -27,6 +27,8 @@ _LANDING_S = 3.0
 """Seconds ahead of touch-down that are left out: the air that rotors throw at the ground comes back."""
 _CARRIED_S = 5.0
 """Chosen: as long as an alarm has to last; over it climbs and turns average out."""
+_SATELLITES = 6
+"""Fewer than PX4 (EKF2_REQ_NSATS) and ArduPilot (EK3_GPS_CHECK) ask for before their estimators take GPS up."""
 
 
 def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Iterator[Judgement]:
@@ -62,20 +64,20 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
         own = staying or every
         largest = max(own, key=lambda alarm: alarm.share)
         accurate = channel in _POSITIONS and largest.size < _ACCURACY_M
-        carried = _still_carried(facts, largest, begin_s)
-        enough = bool(staying) and largest.share >= _least_share(channels, largest) and not (accurate or carried)
+        until_s = _until_s(largest, facts, end_s)
+        doubts = (*_still_carried(facts, largest, begin_s, until_s), *_few_satellites(facts, largest, until_s))
+        enough = bool(staying) and largest.share >= _least_share(channels, largest) and not (accurate or doubts)
         # a heading off and a turn rate off look alike to the sensors that are left
         either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
         yield Judgement(
-            start_s=own[0].start_s,
-            end_s=own[-1].end_s,
+            span=(own[0].start_s, own[-1].end_s),
             text=f"{either}{largest.text}, compared with the first {learned_s:.0f} s of the flight",
             evidence=(
                 f"observer {largest.observer}, learned from the flight until {watch.until_s:.0f} s: alarm from "
                 f"{own[0].start_s:.1f} to {own[-1].end_s:.1f} s",
                 f"up to {largest.share:.1f} times the threshold",
             ),
-            counter=carried,
+            counter=doubts,
             confidence="likely" if enough and not either else "possible",
             weight="warning" if enough else "information",
             plots=(f"estimate_{channel}",),
@@ -87,34 +89,32 @@ def _least_share(channels: Mapping[tuple[str, ...], float], alarm: LearnedAlarm)
     return next((share for words, share in channels.items() if alarm.channel.startswith(words)), nan)
 
 
-def _still_carried(facts: LogFacts, alarm: LearnedAlarm, begin_s: float) -> tuple[str, ...]:
-    """Return what says that the motors together lift as before, so that none lacks what an alarm says it does.
+def _still_carried(facts: LogFacts, alarm: LearnedAlarm, begin_s: float, end_s: float) -> Iterator[str]:
+    """Yield what says that the motors together lift as before, so that none lacks what an alarm says it does.
 
     What turns a vehicle from outside (wind, a load that moved) takes command from one motor and gives it to another; a
     motor that lacks thrust leaves the others' commands, and what all lift for their commands goes down.
     """
-    motors, force = facts.signals.get("motors"), facts.signals.get("acceleration")
+    motors, force = facts.signal("motors"), facts.signal("acceleration")
     if facts.watch is None or not motors or not force or not alarm.channel.startswith("motor"):
-        return ()
+        return
     # after take-off, at whose begin the ground still carries
-    times = np.arange(begin_s + _CARRIED_S, facts.watch.until_s - _CARRIED_S, _CARRIED_S)
-    before = np.array([_lift(motors, force, at, at + _CARRIED_S) for at in times])
-    usual = float(np.median(before))
-    end_s = _until_s(alarm, facts, alarm.end_s)
-    now = _lift(motors, force, alarm.start_s, end_s) / usual
-    asked = float(motors.during(alarm.start_s, end_s).values.sum(axis=1).mean())
-    lacking, moved = alarm.size / asked, float(np.ptp(before)) / usual
+    begins = np.arange(begin_s + _CARRIED_S, facts.watch.until_s - _CARRIED_S, _CARRIED_S).tolist()
+    spans = [*((at, at + _CARRIED_S) for at in begins), (alarm.start_s, end_s)]
+    asked = np.array([np.sum(part := motors.during(*span).values) / len(part) for span in spans])
+    lift = np.array([np.sum(part := force.during(*span).values[:, 2]) / len(part) for span in spans]) / asked
+    now, lacking = lift[-1] / np.median(lift[:-1]), alarm.size / asked[-1]
     # half as much as it would cost, where that is more than it moved by itself
-    if lacking > moved and now > 1.0 - lacking / 2:
+    if lacking > np.ptp(lift[:-1] / np.median(lift[:-1])) and now > 1.0 - lacking / 2:
         lifted = f"{100 * now:.0f} % of what they did for their commands, not {100 - 100 * lacking:.0f} %"
-        return (f"the motors together lift {lifted}: something from outside turns the vehicle",)
-    return ()
+        yield f"the motors together lift {lifted}: something from outside turns the vehicle"
 
 
-def _lift(motors: LogSignal, force: LogSignal, start_s: float, end_s: float) -> float:
-    """Return the specific force along the rotors for the sum of the motors' commands, on the mean of a time."""
-    lifts, asked = force.during(start_s, end_s).values[:, 2], motors.during(start_s, end_s).values
-    return float(abs(lifts.mean()) / asked.sum(axis=1).mean()) if len(lifts) and len(asked) else nan
+def _few_satellites(facts: LogFacts, alarm: LearnedAlarm, end_s: float) -> Iterator[str]:
+    """Yield what says that GPS, by whose motion an alarm's gyro or accelerometer is judged, was too poor for it."""
+    gps = facts.signal("gps").during(alarm.start_s, end_s)
+    if gps and alarm.channel.startswith(("gyro_", "accel_")) and gps.values[:, 1].min() < _SATELLITES:
+        yield f"its receiver was down to {gps.values[:, 1].min():.0f} satellites, and may be what is wrong"
 
 
 def _overlaps(alarms: Sequence[LearnedAlarm], watch: LearnedWatch, channel: str) -> bool:
