@@ -191,6 +191,8 @@ class EvidenceFlow:
         lift = self.chain.source.lift
         if lift is not None and not self.chain.gate.carried:
             return f"flight that its {lift.by} alone do not carry", "not_carried"
+        if still := self.chain.sampler.still:
+            return f"{' and '.join(still)} that stands still as in no flight", "gap"
         if self._lost:
             return f"no {' and no '.join(self._lost)}", "gap"
         return "estimates without time to settle", "settling"

@@ -234,6 +234,28 @@ def test_motors_that_stop_with_the_report_contradict_nothing(quad_profile: Profi
     assert events_of(quad_profile, sorted(after + landing, key=lambda m: m.received_ns)) == []
 
 
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [
+        ("SERVO_OUTPUT_RAW", ("servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw")),
+        ("ATTITUDE", ("rollspeed", "pitchspeed", "yawspeed")),
+    ],
+)
+def test_values_that_stand_still_in_flight_accuse_nobody_and_blind(
+    quad_profile: Profile, square: list[Message], name: str, fields: tuple[str, ...]
+) -> None:
+    start_ns = square[0].received_ns + 20_000_000_000
+    before = [m for m in square if m.name == name and m.received_ns < start_ns]
+    frozen = {field: before[-1].fields[field] for field in fields}
+    attacked = [
+        replace(m, fields={**m.fields, **frozen}) if m.name == name and m.received_ns >= start_ns else m for m in square
+    ]
+    [blind] = [event for event in events_of(quad_profile, attacked) if event.state == "raised"]
+    assert (blind.channel, blind.observer) == ("blind", "monitor")
+    assert f"{name} that stands still" in blind.message
+    assert blind.time_ns - start_ns < 5_400_000_000
+
+
 def test_a_reboot_is_no_impostor(quad_profile: Profile, square: list[Message]) -> None:
     half = len(square) // 2
     names = {"time_boot_ms": 60_000, "time_usec": 60_000_000}

@@ -136,12 +136,14 @@ class GatedSampler:
         commands: bool = True,
     ) -> None:
         self._transform, self._size = None, 1
-        if source.transform is None:
-            self.sampler = Sampler(source.inputs, source.outputs, rate_hz, clock, fitted_hz=source.fitted_hz)
-        else:
-            self.sampler = Sampler(source.signals, (), source.transform.rate_hz, clock, fitted_hz=source.fitted_hz)
+        inputs, outputs, sampled_hz = source.inputs, source.outputs, rate_hz
+        if source.transform is not None:
+            inputs, outputs, sampled_hz = source.signals, (), source.transform.rate_hz
             self._transform = make_transform(source.transform, rate_hz)
-            self._size = round(source.transform.rate_hz / rate_hz)
+            self._size = round(sampled_hz / rate_hz)
+        # motors that alone carry a vehicle
+        restless = rule.airborne_command > 0.0 and source.lift is None
+        self.sampler = Sampler(inputs, outputs, sampled_hz, clock, fitted_hz=source.fitted_hz, restless=restless)
         self._kept: list[Samples] = []
         self.gate = FlightGate(rule, commands and source.transform is None, source.lift)
         self._rule = rule
