@@ -137,13 +137,15 @@ def test_stamps_of_another_clock_are_an_impostor_and_hide_no_fault(
     assert weak.seen_alike(events)
 
 
+@pytest.mark.parametrize(("ahead_s", "period_s"), [(0.9, 1.0), (0.5, 4.9)])
 def test_stamps_less_than_a_second_ahead_do_not_move_the_vehicles_time(
-    quad_profile: Profile, square: list[Message]
+    quad_profile: Profile, square: list[Message], ahead_s: float, period_s: float
 ) -> None:
     pipeline = Pipeline(quad_profile)
-    [raised] = events_of(quad_profile, with_forged(square, ahead(0.9), 1.0, start_s=20.0), pipeline)
+    [raised] = events_of(quad_profile, with_forged(square, ahead(ahead_s), period_s, start_s=20.0), pipeline)
     assert raised.channel == "impostor"
     assert (raised.time_ns - square[0].received_ns) / 1e9 - 20.0 < 5.0
+    assert pipeline.statistics()["motors"].incomplete == 0
     plain = Pipeline(quad_profile)
     events_of(quad_profile, square, plain)
     offset = "unix_minus_vehicle_ns"

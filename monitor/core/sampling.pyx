@@ -207,8 +207,9 @@ cdef struct Point:
 cdef class VehicleClock:
     """Follows one vehicle's clock through its messages, and depends on nothing but them.
 
-    Belief. A stamp within 1 s of the newest one, before or after, is believed at once. One further away is
-    believed only when the next message has another stamp near it (at most 1 s before or 10 s after), so a
+    Belief. A stamp within 1 s of the newest one, before or after, is believed at once, unless it leads: is more than
+    0.25 s ahead both of the newest and of when it arrives. It is believed when others have led as far for 0.25 s, and
+    none came between that did not: the clock was set. One further away is believed only when the next message has another stamp near it (at most 1 s before or 10 s after), so a
     single damaged stamp changes nothing. Once believed, a step back of more than 1 s is a reboot and a step
     ahead of more than 10 s a clock that was set: both start the clock anew and count in ``boot``.
 
@@ -258,6 +259,10 @@ cdef class VehicleClock:
     cdef nanoseconds _rivals_since, _near_received
     cdef nanoseconds _candidate
     cdef Point _doubtful
+    # The last stamp that led and its arrival, and since when they lead.
+    cdef Point _leader
+    cdef bint _led
+    cdef nanoseconds _led_since
     cdef Point[_MOST_POINTS] _points
     cdef int _count
     # The line: through a point, rise / run its slope.
@@ -312,6 +317,8 @@ cdef class VehicleClock:
     cdef bint _observe(self, nanoseconds stamp, nanoseconds received) noexcept:
         cdef Point point
         if self._near(stamp):
+            if self._leads(stamp, received):
+                return False
             self._interleaved = True
         else:
             if self._is_rival(stamp, received) or not self._confirmed(stamp):
@@ -333,6 +340,22 @@ cdef class VehicleClock:
         self._learn(point)
         return True
 
+    cdef bint _leads(self, nanoseconds stamp, nanoseconds received) noexcept:
+        """Learn a stamp near the newest one; return whether it leads, which none has done for long."""
+        cdef nanoseconds delay = received - stamp, ahead = stamp - self.newest_ns
+        cdef wide apart = <wide>delay - self._leader.delay
+        if not self._count or ahead <= _EARLY or self._delay_at(stamp) - delay <= _EARLY:
+            if self._led and received > self._leader.stamp + self._leader.delay:
+                self._led = False
+                # Nothing but another clock makes a stamp lead: two of them are enough.
+                self._contest(_RIVALS - 1, self._leader.stamp - self.newest_ns, received)
+            return False
+        if not self._led or not -_EARLY <= apart <= _EARLY:
+            self._led, self._led_since = True, received
+        self._leader.stamp, self._leader.delay = stamp, delay
+        self._led = received - self._led_since < _EARLY
+        return self._led
+
     cdef bint _is_rival(self, nanoseconds stamp, nanoseconds received) noexcept:
         """Learn a stamp far from the newest one; return whether it is a rival's, while the clock is contested."""
         cdef wide apart = <wide>received - stamp - self._rival.delay
@@ -343,17 +366,17 @@ cdef class VehicleClock:
             return False
         if self._has_rival and not (self._rival.stamp == stamp and gone == 0):
             if self._interleaved and self._shared and 0 <= gone <= _CONTEST and -_TOLERANCE <= apart <= _TOLERANCE:
-                self._contest(stamp - self.newest_ns, received)
+                self._contest(1, stamp - self.newest_ns, received)
             self._interleaved = False
         self._has_rival = True
         self._rival.stamp, self._rival.delay = stamp, received - stamp
         return received < self.contested_ns and received - self._near_received < _AWAY
 
-    cdef void _contest(self, nanoseconds ahead, nanoseconds received) noexcept:
-        """Count a stamp that only another sender can have given."""
+    cdef void _contest(self, int count, nanoseconds ahead, nanoseconds received) noexcept:
+        """Count a stamp that only another sender can have given, as so many."""
         if not 0 <= received - self._rivals_since < _CONTEST:
             self._rivals, self._rivals_since = 0, received
-        self._rivals += 1
+        self._rivals += count
         if self._rivals >= _RIVALS or received < self.contested_ns:
             if received >= self.contested_ns:
                 self._began, self.rival_ns = True, ahead
@@ -401,9 +424,8 @@ cdef class VehicleClock:
                 return
             self._count = 0
         elif self._has_doubtful and self._count > 1 and point.stamp != self._doubtful.stamp:
-            self._contest(
-                <nanoseconds>(self._delay_at(self._doubtful.stamp) - self._doubtful.delay), point.stamp + point.delay
-            )
+            apart = self._delay_at(self._doubtful.stamp) - self._doubtful.delay
+            self._contest(1, <nanoseconds>apart, point.stamp + point.delay)
         self._has_doubtful = False
         bucket = point.stamp // _BUCKET
         if not self._count or bucket > self._points[self._count - 1].stamp // _BUCKET:
@@ -1151,7 +1173,7 @@ cdef class SamplerCore:
             self.start_anew()
         if held is not None:
             self._held = None
-            if agrees or clock._near(self._held_stamp):
+            if agrees or (clock._near(self._held_stamp) and self._held_stamp - clock.newest_ns <= _EARLY):
                 self.store(held, self._held_stamp, self._held_row)
             else:
                 self._doubted += 1
