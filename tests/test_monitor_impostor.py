@@ -223,6 +223,24 @@ def test_commands_of_another_vehicle_than_the_profiles_contradict_nothing(
     assert [event for event in events if event.channel == "impostor"] == []
 
 
+@pytest.mark.parametrize(
+    ("name", "false", "told"),
+    [("HEARTBEAT", {"type": 1}, True), ("EXTENDED_SYS_STATE", {"landed_state": 3}, False)],
+    ids=["another_type", "take_off"],
+)
+def test_nothing_that_cannot_be_in_flight_ends_the_watch(
+    quad_profile: Profile, weak: Weak, name: str, false: dict[str, int], told: bool
+) -> None:
+    start_ns = weak.raised_ns - 3_000_000_000
+    attacked = [
+        replace(m, fields={**m.fields, **false}) if (m.name, m.system) == (name, 1) and m.received_ns > start_ns else m
+        for m in weak.messages
+    ]
+    events = events_of(quad_profile, attacked)
+    assert weak.seen_alike(events)
+    assert told == any(event.channel == "impostor" for event in events)
+
+
 def test_motors_that_stop_with_the_report_contradict_nothing(quad_profile: Profile, square: list[Message]) -> None:
     landed_ns = square[-1].received_ns - 5_000_000_000
     landing = [on_ground([], landed_ns), disarmed([], landed_ns + 500_000_000)]

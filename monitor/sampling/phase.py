@@ -7,6 +7,8 @@ and kept their period without it, as seldom as it may come; else from the third 
 change of any kind. Then the vehicle is taken to be the one that flies as long as reports say so: watched on the ground
 it may raise an alarm too many, not watched in the air it may fall.
 
+A vehicle that is armed does not become another one, nor does one in the air take off: who says so is another sender.
+
 A vehicle that is landing is in the air until it comes near the ground, by the height above its home that it reports:
 a descent takes as long as many a flight. By that height a vehicle that does not say whether it flies is near the
 ground, too.
@@ -21,7 +23,7 @@ from math import nan
 from typing import ClassVar, Literal, NamedTuple
 
 from adapters.mavlink.heartbeat import ARMED, is_autopilot_heartbeat
-from adapters.message import Message
+from adapters.message import LATEST_NS, Message
 from adapters.source import MAVLINK
 from monitor.sampling.identity import Identity, Reports
 
@@ -36,6 +38,7 @@ _LANDED: dict[int, Landed] = {1: "ground", 2: "air", 3: "takeoff", 4: "landing"}
 CONTESTED = {
     "HEARTBEAT": "its HEARTBEAT says by turns that it is armed and that it is not, or another vehicle",
     "EXTENDED_SYS_STATE": "its EXTENDED_SYS_STATE says by turns that it flies and that it does not",
+    "PARAM_VALUE": "its PARAM_VALUE says in flight that it has another frame than before",
 }
 """What contradicts itself, by message."""
 _WINDOW_NS = 10_000_000_000
@@ -139,6 +142,8 @@ class FlightPhase:
         self._fitted = fitted
         self._beats = Said()
         self._landings = Said()
+        # the message that last said in flight that it is another vehicle, and when
+        self._other: tuple[str, int] = ("", -LATEST_NS)
         self._high_ns: int | None = None  # when it was last reported to be high; None where it is low or unknown
         # when it was reported to be at about the height of its home, by all reports of the last second; None where not
         self._low_ns: int | None = None
@@ -211,7 +216,8 @@ class FlightPhase:
             return
         if message.name == "EXTENDED_SYS_STATE":
             state, on = message.fields.get("landed_state"), message.fields.get("vtol_state")
-            self._landed = _LANDED.get(state) if isinstance(state, int) else None
+            landed = _LANDED.get(state) if isinstance(state, int) else None
+            self._landed = "air" if (self._landed, landed) == ("air", "takeoff") else landed
             self.carried = _CARRIED.get(on) if isinstance(on, int) else None
             if not self.logged:
                 self._landings = self._landings.after(now_ns, self._landed)
@@ -227,7 +233,9 @@ class FlightPhase:
                 self._armed = any(isinstance(beat, tuple) and beat[0] for beat in self._beats.recent())
         self._has_been = self._has_been[0] or bool(self._armed), self._has_been[1] or self._landed == "air"
         contests = {"HEARTBEAT": self._beats, "EXTENDED_SYS_STATE": self._landings}
-        self.contested = tuple(name for name, said in contests.items() if said.contested)
+        contested = {name for name, said in contests.items() if said.contested}
+        other, other_ns = self._other
+        self.contested = tuple(sorted(contested | {other} if 0 <= now_ns - other_ns < _WINDOW_NS else contested))
 
     def _identify(self, message: Message) -> None:
         """Follow what a message says of which vehicle it is."""
@@ -235,5 +243,8 @@ class FlightPhase:
         if reports is self.reports:
             return
         contradiction = None if self._fitted is None else reports.identity.contradiction(self._fitted)
-        if contradiction is None or not self._beats.contested:
+        changed = self.reports.identity.difference(reports.identity) is not None
+        if contradiction is not None and self.contradiction is None and self._armed and changed and not self.logged:
+            self._other = message.name, message.received_ns
+        elif contradiction is None or not self._beats.contested:
             self.reports, self.contradiction = reports, contradiction
