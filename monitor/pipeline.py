@@ -180,8 +180,9 @@ class Pipeline:
     @property
     def blind(self) -> str | None:
         """What of a flying vehicle is not watched, and why; None where all is."""
-        active = self._blind.active
-        return None if active is None else active.message
+        if (active := self._blind.active) is not None:
+            return active.message
+        return f"not watched: {self.refused}" if self.refused and self._phase.armed else None
 
     def watching(self, now_ns: int) -> dict[str, Watching]:
         """Return how each observer watches at a Unix time."""

@@ -17,6 +17,8 @@ from monitor.recording.journal import JournalStatistics
 from monitor.service.latency import LatencyBuckets, LatencyStatistics
 
 VehicleState = Literal["starting", "monitoring", "blind", "degraded", "stale"]
+LATE_S = 2.0
+"""Mean delay of a link over the last minute that is trouble. Chosen: after as long a silence telemetry is stale."""
 LOOP_LIMIT_S = 5.0
 """Chosen: far longer than any turn of the loop takes, sooner than systemd's watchdog (systemd/fauio@.service) acts."""
 
@@ -160,6 +162,8 @@ def problems(health: Health) -> list[str]:
 def troubles(health: Health) -> list[str]:
     """Return those of them that concern all vehicles, for the status of each."""
     found = [f"link {link.name} does not answer" for link in health.links if not link.answers]
+    late = {link.name: link.figures.delay_s or 0.0 for link in health.links}
+    found += [f"telemetry of {link} comes {s:.1f} s late by its own clock" for link, s in late.items() if s > LATE_S]
     drops = {f"packets of {link.name} dropped unread": link.unread for link in health.links}
     drops = {"messages dropped": health.process.inbox_dropped_minute} | drops
     found += [f"the monitor does not keep up: {n} {what} in the last minute" for what, n in drops.items() if n]

@@ -252,7 +252,8 @@ class VehicleMonitor:
         if behind:
             reasons.append(f"the monitor does not keep up: {recent.p99_s:.1f} s behind")
         if (mismatch := self.pipeline.mismatch) is not None:
-            reasons.insert(0, f"not watched: {mismatch}" if self.pipeline.refused else mismatch)
+            reason = f"not watched: {mismatch}" if self.pipeline.refused else mismatch
+            reasons = [reason, *(other for other in reasons if other != reason)]
         state = "starting"
         if self.pipeline.stale:
             state = "stale"
