@@ -108,6 +108,26 @@ def test_jobs_with_a_size_are_done_when_they_are_waited_for_or_take_half_of_the_
     assert thread.close(5.0)
 
 
+def test_a_job_that_takes_processor_time_does_not_wait_for_the_disk(
+    disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(background, "_STALLED_S", 0.01)
+    thread = DiskThread("test", 10)
+
+    def compute() -> None:
+        while time.thread_time() < 0.1:
+            pass
+        disk.answer()
+
+    thread.put(compute)
+    assert disk.asked.wait(30)
+    assert thread.stalled_s == 0.0
+    monkeypatch.setattr(background, "_BUSY", 1.0)
+    assert thread.stalled_s > 0.01
+    disk.well.set()
+    assert thread.close(5.0)
+
+
 def test_threads_that_share_a_turn_write_one_at_a_time_and_say_that_they_wait(
     disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
