@@ -9,6 +9,8 @@ first ten are those that made it blind, fall silent or grow without bound while 
 | what is done | tested in | -k |
 |---|---|---|
 | forged reports, stamps and values; a second vehicle of the same id | test_chaos_attacks | told_of_within |
+| commands and rates that stand still on their way | test_chaos_attacks | stands_still |
+| a job that is slow for want of processor time | test_monitor_background | processor_time |
 | bursts of loss | test_chaos_attacks | beside_the_attack |
 | the active of two peers hangs, wholly or by its main thread, and comes back | test_standby | hangs |
 | a disk that hangs | test_monitor_background | disk_that_hangs |
@@ -241,7 +243,7 @@ def insert(
     name: str, changes: Callable[[Mapping[str, Any]], Mapping[str, Any]], every_s: float, own: bool
 ) -> Distortion:
     """Forge a message again and again: the newest of its kind with other values, and numbers of its ``own`` or not."""
-    number = next(number for number, kind in ardupilotmega.mavlink_map.items() if kind.msgname == name)
+    number = _number(name)
 
     def forged(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
         made: list[Due] = []
@@ -258,6 +260,34 @@ def insert(
         return made
 
     return forged
+
+
+def alter(name: str, changes: Callable[[Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]]) -> Distortion:
+    """Change all messages of a kind on their way, by what each says and what the first of them said."""
+    number = _number(name)
+
+    def altered(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
+        made: list[Due] = []
+        first: dict[str, Any] = {}
+        for due, packet in packets:
+            if due < ATTACK_S * 1e9 or message_number(packet) != number:
+                made.append((due, packet))
+                continue
+            said = _fields(packet)
+            first = first or said
+            made.append((due, _with_fields(packet, changes(said, first))))
+        return made
+
+    return altered
+
+
+def hold(name: str, *held: str) -> Distortion:
+    """Let values of a kind of message stand still on their way while its stamps go on."""
+    return alter(name, lambda said, first: {field: first[field] for field in held})
+
+
+def _number(name: str) -> int:
+    return next(number for number, kind in ardupilotmega.mavlink_map.items() if kind.msgname == name)
 
 
 def second_vehicle(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
@@ -308,7 +338,12 @@ ATTACKS: Mapping[str, Distortion] = {
     "rare attitude": insert(
         "ATTITUDE", lambda said: {"time_boot_ms": said["time_boot_ms"] + 4, "roll": said["roll"] + 0.3}, 0.503, False
     ),
+    "ahead seldom": insert("ATTITUDE", lambda said: {"time_boot_ms": said["time_boot_ms"] + 700}, 2.5, False),
     "second vehicle": second_vehicle,
+    "another type": alter("HEARTBEAT", lambda said, first: {"type": 1}),
+    "take-off": alter("EXTENDED_SYS_STATE", lambda said, first: {"landed_state": 3}),
+    "commands held": hold("SERVO_OUTPUT_RAW", *(f"servo{k}_raw" for k in range(1, 5))),
+    "rates held": hold("ATTITUDE", "rollspeed", "pitchspeed", "yawspeed"),
     "commands": insert(
         "SERVO_OUTPUT_RAW", lambda said: {f"servo{k}_raw": 1000 for k in range(1, 5)} | _later(said, 4_000), 0.01, False
     ),

@@ -17,8 +17,9 @@ ONSET_S = 8.59
 USUAL_S = 0.2
 """Delay of this loss of 5 % on a link without attacks."""
 SYSTEMS = {what: system for system, what in enumerate(["none", *ATTACKS], 21)}
-UNSEEN = ("none", "numbers anew", "bursts 100 ms")
-SEEN = [what for what in ATTACKS if what not in UNSEEN]
+UNSEEN = ("none", "numbers anew", "take-off", "bursts 100 ms")
+HELD = ("commands held", "rates held")
+SEEN = [what for what in ATTACKS if what not in (*UNSEEN, *HELD)]
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,16 @@ def test_an_attack_is_told_of_within_five_seconds(run: Run, what: str) -> None:
     assert ATTACK_S - 0.5 < since_s < ATTACK_S + 5.0
 
 
-@pytest.mark.parametrize("what", SYSTEMS)
+@pytest.mark.parametrize("what", HELD)
+def test_what_stands_still_blinds_and_accuses_nobody(run: Run, what: str) -> None:
+    (blind,) = raised(run, what, "blind")
+    (fault,) = raised(run, "none", "motor1")
+    assert "stands still" in blind.message
+    assert ONSET_S + USUAL_S - (fault.time_ns - blind.time_ns) / 1e9 < ATTACK_S + 6.0
+    assert [raised(run, what, f"motor{k}") for k in range(1, 5)] == [[]] * 4
+
+
+@pytest.mark.parametrize("what", [what for what in SYSTEMS if what not in HELD])
 def test_the_fault_is_alarmed_beside_the_attack(run: Run, what: str) -> None:
     (fault,) = raised(run, what, "motor1")
     assert 0 <= fault.vehicle_time_ms - MOTOR1_ONSET_MS < 2e3 * USUAL_S + (200 if what == "bursts 100 ms" else 0)
