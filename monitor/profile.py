@@ -162,9 +162,9 @@ class ObserverProfile(ObserverSetup):
             for channel in self.source.channels
             if channel.stopped_as and channel.stopped_as > 0.0
         }
-        return {
-            fault.name: usual[fault.name] for fault in self.faults if fault.input is not None and fault.name in usual
-        }
+        # Of motors that are not told apart, the first.
+        motors = ((fault.name, fault.name.partition("_or_")[0]) for fault in self.faults if fault.input is not None)
+        return {name: usual[motor] for name, motor in motors if motor in usual}
 
 
 @dataclass(frozen=True, slots=True)

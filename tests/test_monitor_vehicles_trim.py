@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from monitor.vehicles.multirotor.frames import Frame, frame_of, lifting_outputs, standard_frames
+from monitor.vehicles.multirotor.identify import USUAL, MultirotorFit, multirotor_plant
 from monitor.vehicles.multirotor.trim import TRIM_HZ, choose_frame, identify_trim, slow_times, smallest_loss
 
 STEP_S = 0.01
@@ -137,6 +138,26 @@ def test_the_motors_of_a_plane_that_hovers_have_their_frame_behind_its_surfaces(
     frame = frame_of(QUADPLANE, (5, 6, 7, 8))
     assert frame is not None and frame.name == "quad x"
     assert frame.effects.tolist() == [[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1]]
+
+
+def test_two_motors_on_an_arm_that_turn_alike_have_a_fault_together_and_others_one_each() -> None:
+    outputs = range(1, 9)
+    for shape, together in ((20, {(1, 6), (2, 5), (3, 8), (4, 7)}), (1, {(n,) for n in outputs})):
+        frame = frame_of({"FRAME_CLASS": 4.0, "FRAME_TYPE": shape}, outputs)
+        assert frame is not None
+        fit = MultirotorFit(
+            rate_hz=100.0,
+            a=np.full(3, 0.99),
+            B=frame.effects * (np.array(USUAL) / 800.0)[:, None],
+            c=np.zeros(3),
+            taps=np.ones(1),
+            square=0.0,
+            residual_std=np.full(3, 0.01),
+            samples=1000,
+        )
+        faults = multirotor_plant(fit, "it", [f"motor{n}" for n in outputs], gyros=False).faults
+        assert {fault.name for fault in faults} == {"_or_".join(f"motor{n}" for n in pair) for pair in together}
+        assert all(fault.input == fault.name.partition("_or_")[0] for fault in faults)
 
 
 def test_motors_of_a_tricopter_turn_it_about_roll_and_pitch_alone() -> None:

@@ -276,12 +276,13 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     bare = Fitted(drive.observer, gains, source, rule, supply=drive.supply, plant=plant)
     channels = bare.profile().faults
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
-    bare = replace(bare, excitation=_excitation(bare.profile(), gate, identified, hover))
+    watched = {channel.name: float(hover[channel.input]) for channel in channels if channel.input is not None}
+    bare = replace(bare, excitation=_excitation(bare.profile(), gate, identified, watched))
     evidence = healthy_evidence(bare.profile(), gate, identified.flights)
     changes, nats = _changes(plant, channels, identified)
-    lasting = None if nats is not None else _lasting(bare.profile(), gate, identified, hover)
-    alarms = _alarms(drive.observer, channels, evidence, hover, identified, rule.score_floor, nats, lasting)
-    _check_watched(motors, hover.tolist(), alarms)
+    lasting = None if nats is not None else _lasting(bare.profile(), gate, identified, watched)
+    alarms = _alarms(drive.observer, channels, evidence, watched, identified, rule.score_floor, nats, lasting)
+    _check_watched(watched, alarms)
     commands = motor_commands(surveys)
     ranges = (
         {}
@@ -308,7 +309,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
             *([range_text(commands, surveys)] if ranges else []),
             identified.line,
             *([] if drive.supply is None else [_supply_text(drive.supply)]),
-            *_lines(drive, hover.tolist(), alarms),
+            *_lines(watched, alarms),
         ),
         details=identified.details,
         comparison=identified.comparison,
@@ -340,10 +341,10 @@ def _supply_text(supply: SupplyRule) -> str:
     )
 
 
-def _check_watched(motors: Sequence[str], hover: Sequence[float], alarms: Sequence[Calibrated]) -> None:
-    """Make sure that some motor's loss would be an alarm."""
+def _check_watched(watched: Mapping[str, float], alarms: Sequence[Calibrated]) -> None:
+    """Make sure that some motor's loss would be an alarm; ``watched`` are their commands in hover, by channel."""
     rules = {calibrated.rule.channel: calibrated.rule for calibrated in alarms}
-    least = min(rules[motor].threshold / command for motor, command in zip(motors, hover, strict=True))
+    least = min(rules[motor].threshold / command for motor, command in watched.items())
     if least >= 1.0:
         raise ModelError(
             f"no motor could be watched: only losses above {100 * least:.0f} % of its command would stand out; these "
@@ -493,7 +494,7 @@ def _frame(request: FitRequest, gate: GateRule, drive: _Drive, rates: Sequence[C
 
 
 def _excitation(
-    observer: ObserverProfile, gate: GateRule, identified: _Identified, hover: NDArray[np.float64]
+    observer: ObserverProfile, gate: GateRule, identified: _Identified, watched: Mapping[str, float]
 ) -> ExcitationRule:
     """Return how the sizes of motors' alarms grow with rates and changes of commands."""
     return fit_excitation(
@@ -501,7 +502,7 @@ def _excitation(
         gate,
         identified.flights,
         observer.gains[0].outputs[: len(identified.model.a)],
-        hover,
+        np.array(list(watched.values())),
         identified.smallest_loss,
         _BEYOND if identified.gyros else _BEYOND_SLOW,
         FALSE_ALARMS_PER_HOUR / (len(observer.faults) + 1),
@@ -525,14 +526,14 @@ def _changes(
 
 
 def _lasting(
-    observer: ObserverProfile, gate: GateRule, identified: _Identified, hover: NDArray[np.float64]
+    observer: ObserverProfile, gate: GateRule, identified: _Identified, watched: Mapping[str, float]
 ) -> tuple[Scatter, float]:
     """Return how the means of healthy flights scatter, and how many times its size evidence has to reach in them."""
     motors = [place for place, channel in enumerate(observer.faults) if channel.input is not None]
     flights, scales = [], []
     for run, stretches in healthy_runs(observer, gate, identified.flights):
         rows = np.concatenate([np.arange(found.start, found.stop) for found in stretches or [slice(0, 0)]])
-        flights.append(run.smoothed[rows][:, motors] / hover)
+        flights.append(run.smoothed[rows][:, motors] / list(watched.values()))
         scales.append(run.scale[rows][:, motors])
     return scatter(flights, identified.model.rate_hz), float(np.concatenate(scales).mean())
 
@@ -541,7 +542,7 @@ def _alarms(
     observer: str,
     channels: Sequence[FaultChannel],
     evidence: Sequence[NDArray[np.float64]],
-    hover: NDArray[np.float64],
+    watched: Mapping[str, float],
     identified: _Identified,
     score_floor: float,
     nats: ReturnLevel | None,
@@ -553,7 +554,7 @@ def _alarms(
     """
     rate_hz = identified.model.rate_hz
     share = FALSE_ALARMS_PER_HOUR / (len(channels) + 1)
-    commands = [None if channel.input is None else float(hover[channel.input]) for channel in channels]
+    commands = [watched.get(channel.name) for channel in channels]
 
     def levels(places: Sequence[int], times: Times, most: float = math.inf) -> Levels:
         series = [stretch[:, at] / (commands[at] or 1.0) for at in places for stretch in evidence]
@@ -606,10 +607,9 @@ def _details(motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift)
     )
 
 
-def _lines(drive: _Drive, hover: Sequence[float], alarms: Sequence[Calibrated]) -> tuple[str, ...]:
+def _lines(watched: Mapping[str, float], alarms: Sequence[Calibrated]) -> tuple[str, ...]:
     rules = {found.rule.channel: found.rule for found in alarms}
-    motors = (channel.name for channel in drive.inputs)
     return tuple(
         f"{motor} alarm from {size_text(rules[motor].threshold, rules[motor].unit, command)} (hovers at {command:.2f})"
-        for motor, command in zip(motors, hover, strict=True)
+        for motor, command in watched.items()
     )

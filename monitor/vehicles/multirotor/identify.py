@@ -108,6 +108,9 @@ _ENOUGH = 0.03
 """The descent ends where a step would move all coefficients together by less than .17 (the root) standard errors."""
 _SLOPE = 0.02
 """Relative step of the differences of taps, at least that share of a tenth of a sample: five digits of smooth taps."""
+_PARALLEL = 0.1
+"""Radians up to which two motors are not told apart, between effects as shares of the largest about each axis. Chosen:
+flights tell them to .5 to 2 %; two on one arm that turn in opposite senses are more than 1 apart."""
 _SHARED = len(_USUAL)
 """Coefficients of all axes: delay, lag, filter, and q of thrust and of drag."""
 
@@ -573,6 +576,23 @@ _FAULT_RATE = 0.5
 """Units of full command per second by which a loss may develop: the bandwidth knob."""
 
 
+def turning_alike(B: FloatArray) -> list[list[int]]:
+    """Return the motors that are told apart, by their effects B (3, s) on body rates: one each, or parallel ones.
+
+    Two on one arm that turn in the same sense are that: whichever loses thrust, the vehicle moves the same.
+    """
+    shares = B / np.maximum(np.abs(B).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    directions = (shares / np.linalg.norm(shares, axis=0)).T
+    groups: list[list[int]] = []
+    for i, direction in enumerate(directions):
+        same = (group for group in groups if np.linalg.norm(direction - directions[group[0]]) < _PARALLEL)
+        if (group := next(same, None)) is None:
+            groups.append([i])
+        else:
+            group.append(i)
+    return groups
+
+
 def multirotor_plant(
     fit: MultirotorFit,
     name: str,
@@ -581,7 +601,9 @@ def multirotor_plant(
     gyros: bool = True,
     unit: str = "fraction of full command",
 ) -> Plant:
-    """Return the fitted model as a plant with one actuator fault per motor and one sensor fault per gyro axis.
+    """Return the fitted model as a plant with one sensor fault per gyro axis and one actuator fault per motor.
+
+    Motors that are not told apart have one together, named after all of them.
 
     Process disturbance and measurement noise are both scaled by the one-step prediction error, so that the
     design trusts the model and each sensor as far as the flights allow. What uncertain coefficients do is added to the
@@ -621,15 +643,15 @@ def multirotor_plant(
         nonlinearities=(),
         faults=tuple(
             Fault(
-                name=motor,
+                name="_or_".join(motors[i] for i in alike),
                 kind="actuator",
-                column=fit.B[:, i],
+                column=fit.B[:, alike[0]],
                 rate=_FAULT_RATE,
                 error=0.01,
                 unit=unit,
-                input=motor,
+                input=motors[alike[0]],
             )
-            for i, motor in enumerate(motors)
+            for alike in turning_alike(fit.B[:3])
         )
         + tuple(
             Fault(name=gyro, kind="sensor", column=identity[:, o], error=float(fit.residual_std[o]), unit="rad/s")
