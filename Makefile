@@ -5,9 +5,8 @@ BIN := $(VENV)/bin
 CORE := $(wildcard adapters/mavlink/*.pyx monitor/core/*.pyx monitor/core/*.pxd)
 
 # Four processes for two cores: a third of what the suite takes is waiting for daemons, in real time, and for networks. Files
-# of such tests are spread over the others (tests/conftest.py). They are forked when all tests are collected: with
-# pytest-xdist, whose processes collect for themselves, 1,089 tests took 46 s of processor time, so 29 (tests/processes.py).
-PYTEST := $(BIN)/python -m pytest --processes 4
+# of such tests are spread over the others (tests/conftest.py). Another process collects all tests for itself, 8 s.
+PYTEST := $(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder
 
 # The compiled core in place, for whoever works on it.
 .PHONY: core demo console test test-long test-system lint format docs dist clean

@@ -5,13 +5,12 @@ import gc
 import os
 import signal
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 from loopback import Endpoint, free_port
-from processes import pytest_addoption, pytest_runtestloop  # noqa: F401 - hooks of pytest
 
 from monitor.profile import Profile, read_profile
 
@@ -70,6 +69,19 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(20_000, 20, 20)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Begin in each process with another file: what one has compiled, the others find compiled."""
+    report = yield
+    if isinstance(collector, pytest.Directory) and "PYTEST_XDIST_WORKER" in os.environ:
+        process, processes = int(os.environ["PYTEST_XDIST_WORKER"][2:]), int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+        first = len(report.result) * process // processes
+        report.result = report.result[first:] + report.result[:first]
+    return report
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Spread the files that wait over the first half of those that compute: none waits alone at the end."""
@@ -103,7 +115,8 @@ def data() -> Path:
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
     """Return a folder that processes which share the suite share: whoever comes first makes it, the others wait."""
-    shared = factory.getbasetemp()
+    base = factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     folder = shared / "shared" / name
     folder.parent.mkdir(exist_ok=True)
     with (shared / f"{name}.lock").open("w") as lock:
