@@ -137,6 +137,7 @@ LOOK_ALIKES: dict[str, Flight] = {
     "a receiver that has its first fix in flight": Flight(fix=lambda at: 0 if at < 30.0 else 3),
     "one innovation": Flight(ratio=between(30.0, 30.2, 3.0, 0.1)),
     "a reset at take-off": Flight(resets=lambda at: 1 + (at > 4.0)),
+    "a blow in the air": Flight(clipped=lambda at: 194 * (at > 30.0)),
     "a hard landing": Flight(vibration=between(LANDING_S - 0.5, LANDING_S + 1.0, 30.0, 2.0)),
     "a failsafe on the ground": Flight(failsafe=lambda at: at > DISARM_S),
     "an updraft": Flight(

@@ -17,6 +17,8 @@ _SHARE = 0.2
 """Chosen: over a fifth of the flight; single peaks are landings and touches."""
 _CLIPPED = 100
 """ArduPilot's documentation: a steadily rising count of clipping, above 100 in a flight, is a problem."""
+_BLOW = 2
+"""Records in which a blow shows, where it falls between two: a count that rises in no more does not rise steadily."""
 
 
 def _judge(facts: LogFacts, vibration: LogSignal) -> Iterator[Judgement]:
@@ -44,8 +46,8 @@ def _judge(facts: LogFacts, vibration: LogSignal) -> Iterator[Judgement]:
 
 def _clipped(facts: LogFacts) -> float:
     clipping = facts.signal("clipping")
-    judged = clipping.only[in_control(facts, clipping.time_s)]
-    return float(judged[-1] - judged[0]) if len(judged) else 0.0
+    rises = np.diff(clipping.only[in_control(facts, clipping.time_s)])
+    return float(rises.sum()) if (rises > 0).sum() > _BLOW else 0.0
 
 
 RULE = Rule(
@@ -54,7 +56,7 @@ RULE = Rule(
     physics="Vibration beyond an accelerometer's range is cut off on one side more than on the other: the estimator "
     "sees an acceleration that is not there, in height first.",
     evidence="the autopilot's own level beyond its documented limit in a fifth of the flight, or 100 clipped samples",
-    counter=("landings and what came after a fall are left out", "where little is clipped it is information alone"),
+    counter=("landings, blows and falls are left out", "where little is clipped it is information alone"),
     needs=("vibration",),
     plots=("vibration", "clipping", "acceleration"),
     judge=_judge,
