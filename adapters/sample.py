@@ -54,7 +54,8 @@ class Given(NamedTuple):
     """Samples made of others: of raw signals, of several in a row."""
 
     samples: Samples  # the n samples
-    rows: NDArray[np.intp] | slice  # row of the sample that completed each (n,); all of them where each is one of those
+    # row of the sample that completed each (n,); all of them where each is one of those
+    rows: NDArray[np.intp] | slice = slice(None)
     # standard deviation of faults that y itself holds an estimate of, by name (n,), in their units
     spread: Mapping[str, NDArray[np.float64]] = MappingProxyType({})
     # where y is lost because what came is unlike the fitted flights (n,), not for lack of it

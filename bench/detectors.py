@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from adapters.errors import InfeasibleError
 from adapters.logs.recordings import packed
 from adapters.message import Message
+from adapters.sample import Given
 from gains.analysis.estimability import problem_of, restricted
 from gains.plants.model_file import read_model
 from gains.plants.plant import Plant
@@ -305,7 +306,7 @@ def _run_chains(observers: Sequence[ObserverProfile], gate: GateRule, samples: M
         for observer in observers:
             rules = tuple(asking_for_more(rule, factor) for rule in observer.alarms)
             chain = ObserverChain(replace(observer, alarms=rules), KALMAN, gate, VehicleClock())
-            run = chain.estimate(samples[observer.name].samples, samples[observer.name].armed)
+            run = chain.estimate(Given(samples[observer.name].samples), samples[observer.name].armed)
             events[-1] += alarm_events([run], Excuses(()))
             if len(events) == 1:
                 builder = TraceBuilder(chain.layout)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch
-from adapters.sample import Samples
+from adapters.sample import Given, Samples
 from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
@@ -375,17 +375,16 @@ class ObserverChain:
         raw = self._sampler.gathered(self._sampler.supplied(samples, batch, position))
         if not len(raw):
             return None
-        given, rows, spread, unflown, beyond, corrected = self._sampler.run(raw)
+        given = self._sampler.run(raw)
         if self._envelope is not None:
-            outside = self._envelope.run(raw, np.arange(len(raw))[rows])
-            beyond = outside if beyond is None else outside * beyond
-        if not len(given):
+            outside = self._envelope.run(raw, np.arange(len(raw))[given.rows])
+            given = given._replace(beyond=outside if given.beyond is None else outside * given.beyond)
+        if not len(given.samples):
             return None
-        if not isinstance(rows, slice):
+        if not isinstance(given.rows, slice):
             # raw samples of batches before completed nothing
-            position = position[rows - (len(raw) - len(samples))]
-        run = self.estimate(given, self._sampler.admitted(given, phase), position, beyond, spread, corrected)
-        return run if unflown is None else replace(run, unflown=unflown)
+            position = position[given.rows - (len(raw) - len(samples))]
+        return self.estimate(given, self._sampler.admitted(given.samples, phase), position)
 
     @property
     def outside(self) -> str | None:
@@ -399,27 +398,17 @@ class ObserverChain:
         stages = (self._envelope, self._excitation)
         return next((stage.furthest for stage in stages if stage is not None), None)
 
-    def estimate(
-        self,
-        samples: Samples,
-        armed: NDArray[np.bool_],
-        position: NDArray[np.int64] | None = None,
-        beyond: NDArray[np.float64] | None = None,
-        spread: Mapping[str, NDArray[np.float64]] = MappingProxyType({}),
-        corrected: NDArray[np.bool_] | None = None,
-    ) -> ChainRun:
+    def estimate(self, given: Given, armed: NDArray[np.bool_], position: NDArray[np.int64] | None = None) -> ChainRun:
         """Process n samples (u, y) of the observer itself; use :meth:`run` for those of :attr:`sampler`.
 
-        ``armed`` says whether each is evidence (n,); ``position`` is as in :meth:`run`, None for their index;
-        ``beyond`` how many times larger all sizes are outside of the fitted flights (n,), None: once; ``spread`` the
-        standard deviation (n,) of faults that the samples hold an estimate of, which adds to that of the observer;
-        ``corrected`` where a transform moved y itself (n,), None: nowhere.
+        ``armed`` says whether each is evidence (n,); ``position`` is as in :meth:`run`, None for their index.
         """
+        samples = given.samples
         if position is None:
             position = np.arange(len(samples))
-        found = self._estimator.run(samples, armed, beyond, corrected)
+        found = self._estimator.run(given, armed)
         sd = self._uncertainty.run(samples.measured, samples.restart)
-        for name, deviation in spread.items():
+        for name, deviation in given.spread.items():
             if name in self.layout.faults:
                 index = self.layout.faults.index(name)
                 sd[:, index] = np.hypot(sd[:, index], deviation)
@@ -438,7 +427,7 @@ class ObserverChain:
             sd=shown.sd,
             coasted_s=self._since_measured.run(samples.vehicle_time_ns, samples.measured, samples.restart),
         )
-        return self._with_evidence(estimates, position, found, effects, shown.commands, beyond)
+        return self._with_evidence(estimates, position, found, effects, shown.commands, given)
 
     def _with_evidence(
         self,
@@ -447,9 +436,9 @@ class ObserverChain:
         found: EstimatorRun,
         effects: Mapping[int, EffectivenessRun],
         commands: Mapping[int, NDArray[np.float64]],
-        beyond: NDArray[np.float64] | None,
+        given: Given,
     ) -> ChainRun:
-        samples = estimates.samples
+        samples, beyond = given.samples, given.beyond
         excitation = None if self._excitation is None else self._excitation.run(samples, found.level)
         evidence, speaking, alarm_scale, scale = self._weighing.run(
             estimates.isolated,
@@ -495,6 +484,7 @@ class ObserverChain:
             scale,
             found.level,
             None if changes is None else changes.sd,
+            given.unflown,
         )
 
     def _named(self, run: ChangeRun) -> tuple[NDArray[Any], ...]:

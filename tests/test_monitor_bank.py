@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.sample import Samples
+from adapters.sample import Given, Samples
 from gains.identification.segment import Segment
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
 from gains.synthesis.bank import compile_bank, design_bank
@@ -83,7 +83,7 @@ class Motors:
         """Return the share of its command that each motor is said to have lost (rows, 4)."""
         u, y = self.flown(losses, rows)
         bank = Bank(AffineObserver(self.gains), self.rule, MOTORS, {})
-        run = bank.run(replace(samples_of(y, restart=True), u=u), np.ones(rows, np.bool_))
+        run = bank.run(Given(replace(samples_of(y, restart=True), u=u)), np.ones(rows, np.bool_))
         return -run.evidence / HOVER
 
 
@@ -117,7 +117,7 @@ def run(bank: Bank, x: np.ndarray, fault: np.ndarray, seed: int) -> tuple[Estima
     for k in range(150):
         y[k] = x + rng.normal(0.0, 1e-3, 2)
         x = 0.95 * x + fault + rng.normal(0.0, 1e-3, 2)
-    return bank.run(samples_of(y), np.ones(len(y), np.bool_)), x
+    return bank.run(Given(samples_of(y)), np.ones(len(y), np.bool_)), x
 
 
 @given(which=st.integers(0, 2), size=st.floats(0.2, 2.0), seed=st.integers(0, 99))
@@ -165,7 +165,7 @@ def test_each_fault_is_estimated_under_its_own_hypothesis(gains: tuple[Gains, ..
 def test_a_restart_forgets_the_fault(gains: tuple[Gains, ...]) -> None:
     bank = bank_of(gains)
     run(bank, np.zeros(2), np.array([0.5, 0.0]), 1)
-    after = bank.run(samples_of(np.zeros((1, 2)), restart=True), np.ones(1, np.bool_))
+    after = bank.run(Given(samples_of(np.zeros((1, 2)), restart=True)), np.ones(1, np.bool_))
     assert np.abs(after.evidence).max() < 1e-6
     assert np.abs(after.smoothed).max() < 1e-6
 

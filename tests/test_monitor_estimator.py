@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from adapters.sample import Samples
+from adapters.sample import Given, Samples
 from gains.analysis.estimability import restricted
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
 from gains.synthesis.bank import Hypothesis, compile_bank
@@ -83,8 +83,8 @@ def flight(rng: np.random.Generator, count: int) -> Samples:
 def test_cuts_do_not_change_a_bit(gains: tuple[Gains, ...], kind: str, seed: int, parts: list[slice]) -> None:
     samples = flight(np.random.default_rng(seed), 500)
     armed = np.arange(500) > 50
-    whole, cut = estimator(gains, kind).run(samples, armed), estimator(gains, kind)
-    runs = [cut.run(samples.part(part.start, part.stop), armed[part]) for part in parts]
+    whole, cut = estimator(gains, kind).run(Given(samples), armed), estimator(gains, kind)
+    runs = [cut.run(Given(samples.part(part.start, part.stop)), armed[part]) for part in parts]
     for name, column, expected in zip(whole._fields, zip(*runs, strict=True), whole, strict=True):
         assert same_bits(np.concatenate(column), expected), name
 
@@ -117,10 +117,10 @@ def test_an_observer_of_another_kind_is_used_like_compiled_gains() -> None:
     samples = flight(np.random.default_rng(3), 30)
     samples.measured[:], samples.restart[:], samples.y[:] = True, False, 0.3
     observer: Observer = Difference()
-    joint = make_estimator(observer, IndependentRule(0.0), ("left", "gyro"), {}).run(samples, samples.measured)
+    joint = make_estimator(observer, IndependentRule(0.0), ("left", "gyro"), {}).run(Given(samples), samples.measured)
     assert joint.evidence == pytest.approx(np.tile(0.3 - np.sin(samples.u), (1, 2)))
     rule = BankRule(0.0, 0.2, 3.0, 25.0, (("left", "gyro"),), (np.eye(2),), (False,))
-    bank = make_estimator(observer, rule, ("left", "gyro"), {}).run(samples, samples.measured)
+    bank = make_estimator(observer, rule, ("left", "gyro"), {}).run(Given(samples), samples.measured)
     assert bank.x == pytest.approx(np.sin(samples.u))
     assert bank.evidence == pytest.approx(joint.evidence)
     assert np.isnan(Uncertainty(observer, None, ("left", "gyro")).run(samples.measured, samples.restart)).all()
@@ -130,13 +130,13 @@ def test_without_measurements_the_evidence_stays(gains: tuple[Gains, ...]) -> No
     for kind in ("bank", "independent"):
         samples = flight(np.random.default_rng(5), 60)
         samples.measured[40:], samples.restart[:] = False, False
-        run = estimator(gains, kind).run(samples, samples.measured)
+        run = estimator(gains, kind).run(Given(samples), samples.measured)
         for column in (run.evidence, run.counted, run.smoothed, run.unexplained):
             assert np.array_equal(column[40:], np.broadcast_to(column[39], column[40:].shape), equal_nan=True)
 
 
 def test_a_joint_estimate_counts_for_all_channels_and_leaves_nothing_unexplained(gains: tuple[Gains, ...]) -> None:
-    run = estimator(gains, "independent").run(flight(np.random.default_rng(1), 20), np.ones(20, np.bool_))
+    run = estimator(gains, "independent").run(Given(flight(np.random.default_rng(1), 20)), np.ones(20, np.bool_))
     assert run.counted.all()
     assert not run.unexplained.any()
     assert run.smoothed is run.evidence

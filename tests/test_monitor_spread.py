@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from adapters.logs.recordings import read_batches
+from adapters.sample import Given
 from monitor.chain import ObserverChain
 from monitor.core.sampling import VehicleClock
 from monitor.fitting.flights import flight_samples
@@ -25,7 +26,8 @@ def test_two_standard_deviations_hold_healthy_errors_19_times_of_20(quad_profile
     spread = fit_spread(observer, observer.model, quad_profile.gate, [flight])
     assert set(spread) == {channel.name for channel in observer.faults}
     measured = replace(observer, spread=spread)
-    run = ObserverChain(measured, "quad", quad_profile.gate, VehicleClock()).estimate(flight.samples, flight.armed)
+    chain = ObserverChain(measured, "quad", quad_profile.gate, VehicleClock())
+    run = chain.estimate(Given(flight.samples), flight.armed)
     inside = np.abs(run.estimates.fault) <= 2.0 * run.estimates.sd
     assert inside[flight.armed].mean(axis=0) == pytest.approx(0.95, abs=0.02)
     again = fit_spread(measured, observer.model, quad_profile.gate, [flight])

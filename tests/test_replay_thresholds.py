@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.logs.recordings import read_batches
+from adapters.sample import Given
 from monitor.chain import ObserverChain
 from monitor.core.sampling import VehicleClock
 from monitor.fitting.fitted import bare_rule
@@ -75,7 +76,7 @@ def test_a_long_wait_before_the_flight_changes_nothing_that_matters(quad_profile
     assert start > 32 * observer.rate_hz
     waited = replace(flight, armed=flight.armed & (np.arange(len(flight)) >= start))
     chain = ObserverChain(observer, "", quad_profile.gate, VehicleClock())
-    whole = chain.estimate(waited.samples, waited.armed).estimates.isolated[waited.armed]
+    whole = chain.estimate(Given(waited.samples), waited.armed).estimates.isolated[waited.armed]
     found = np.concatenate(healthy_evidence(observer, quad_profile.gate, [waited]))
     assert np.allclose(found[:, :-1], whole, atol=1e-6)
 

@@ -44,7 +44,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Samples
+from adapters.sample import Given
 from monitor.core.bank import Choice, EdgeDetector, Washout
 from monitor.estimation.isolation_rule import BankRule, keep_share
 from monitor.estimation.observer import FaultSet, Observer
@@ -167,18 +167,12 @@ class Bank:
             follow=1.0 - keep_share(rule.level_s, rate_hz),
         )
 
-    def run(
-        self,
-        samples: Samples,
-        armed: NDArray[np.bool_],
-        beyond: NDArray[np.float64] | None = None,
-        corrected: NDArray[np.bool_] | None = None,
-    ) -> EstimatorRun:
+    def run(self, given: Given, armed: NDArray[np.bool_]) -> EstimatorRun:
         """Process N samples; return the estimates under the hypothesis believed and the evidence after each.
 
-        ``armed`` says whether each is evidence (N,), ``beyond`` how many times larger all sizes are outside of the
-        fitted flights (N,), None: once; the residuals of those that were ``corrected`` (N,) say nothing.
+        ``armed`` says whether each is evidence (N,); the residuals of those that were corrected say nothing.
         """
+        samples, beyond, corrected = given.samples, given.beyond, given.corrected
         restart, measured = samples.restart, samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)
         return EstimatorRun(

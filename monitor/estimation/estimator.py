@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Samples
+from adapters.sample import Given
 from monitor.core.bank import IndependentIsolation
 from monitor.estimation.bank import Bank, EstimatorRun
 from monitor.estimation.isolation_rule import BankRule, IndependentRule, IsolationRule, keep_share
@@ -25,18 +25,12 @@ class JointEstimator:
         keep = keep_share(rule.smoothing_s, observer.rate_hz)
         self._isolation = IndependentIsolation(len(observer.hypotheses[0].faults), keep)
 
-    def run(
-        self,
-        samples: Samples,
-        armed: NDArray[np.bool_],
-        beyond: NDArray[np.float64] | None = None,
-        corrected: NDArray[np.bool_] | None = None,
-    ) -> EstimatorRun:
+    def run(self, given: Given, armed: NDArray[np.bool_]) -> EstimatorRun:
         """Process N samples; return the estimates and the evidence after each.
 
-        Which are evidence (``armed``), lie ``beyond`` the fitted flights or were ``corrected`` changes nothing here.
+        Which are evidence (``armed``), lie beyond the fitted flights or were corrected changes nothing here.
         """
-        restart, measured = samples.restart, samples.measured
+        samples, restart, measured = given.samples, given.samples.restart, given.samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)
         evidence = self._isolation.run(run.fault, measured, restart)
         return EstimatorRun(

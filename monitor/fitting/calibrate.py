@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.sample import Given
 from gains.identification.segment import Segment
 from gains.synthesis.gains_file import Gains
 from monitor.chain import ObserverChain
@@ -112,7 +113,7 @@ def healthy_maxima(profile: Profile, flights: Sequence[Flight], raise_s: float) 
     worst = np.zeros(len(observer.faults))
     for flight in flights:
         chain = ObserverChain(observer, profile.name, profile.gate, VehicleClock())
-        run = chain.estimate(flight.samples, flight.armed)
+        run = chain.estimate(Given(flight.samples), flight.armed)
         sizes = np.abs(run.estimates.isolated) * flight.armed[:, None]
         if len(sizes) >= width:
             lasted = np.lib.stride_tricks.sliding_window_view(sizes, width, axis=0).min(axis=-1)
@@ -144,4 +145,6 @@ def measured_settling_s(observer: ObserverProfile, gate: GateRule, flights: Sequ
 
 
 def _smoothed(observer: ObserverProfile, gate: GateRule, flight: Flight) -> NDArray[np.float64]:
-    return ObserverChain(observer, "healthy", gate, VehicleClock()).estimate(flight.samples, flight.armed).smoothed
+    return (
+        ObserverChain(observer, "healthy", gate, VehicleClock()).estimate(Given(flight.samples), flight.armed).smoothed
+    )

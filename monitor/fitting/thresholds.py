@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.sample import Given
 from monitor.alarms.alarm import AlarmRule
 from monitor.chain import ChainRun, ObserverChain
 from monitor.core.lagged import exponential_mean
@@ -133,7 +134,7 @@ def healthy_runs(
     for flight in flights:
         watched = flight.rows(_watched(flight, observer.rate_hz * max(_LEAD_S, 3.0 * gate.settle_s)))
         chain = ObserverChain(observer, "healthy", gate, VehicleClock())
-        run = chain.estimate(watched.samples, watched.armed)
+        run = chain.estimate(Given(watched.samples), watched.armed)
         yield run, list(watched.stretches(at_restart=False))
 
 

@@ -181,7 +181,7 @@ class GatedSampler:
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that those of :attr:`sampler` give, and the rows that completed them."""
-        return Given(samples, slice(None)) if self._transform is None else self._transform.run(samples)
+        return Given(samples) if self._transform is None else self._transform.run(samples)
 
     def admitted(self, samples: Samples, phase: FlightPhase) -> NDArray[np.bool_]:
         """Return which samples are evidence (n,), the phase having been entered."""
