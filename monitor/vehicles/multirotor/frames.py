@@ -107,7 +107,11 @@ def lifting_outputs(parameters: Mapping[str, float], tricopter: bool = False) ->
         return frozenset(index + 1 for index in _TRI_MOTORS) if tricopter else frozenset()
     if tricopter or _class(parameters)[0] == _TRI:
         return frozenset(number for number, index in of.items() if index in _TRI_MOTORS)
-    return frozenset(number for number, index in of.items() if _lifts(parameters, index))
+    # Other rotors of PX4 push along the nose, as CA_ROTOR*_AX and AZ say; by default all push up.
+    up = {
+        i for i in of.values() if abs(parameters.get(f"CA_ROTOR{i}_AZ", 1)) > abs(parameters.get(f"CA_ROTOR{i}_AX", 0))
+    }
+    return frozenset(number for number, index in of.items() if index in up)
 
 
 def is_helicopter(parameters: Mapping[str, float]) -> bool:
@@ -158,13 +162,6 @@ def _motors(parameters: Mapping[str, float]) -> dict[int, int]:
     tables = ("SERVO{}_FUNCTION", MOTOR_FUNCTIONS), ("PWM_MAIN_FUNC{}", _PX4_FUNCTIONS)
     said = ((n, int(parameters.get(key.format(n), -1)), of) for key, of in tables for n in range(1, _OUTPUTS + 1))
     return {n: of[function] for n, function, of in said if function in of}
-
-
-def _lifts(parameters: Mapping[str, float], index: int) -> bool:
-    """Return whether a rotor of PX4 pushes along the vehicle's vertical more than along its nose; others do."""
-    axis = (parameters.get(f"CA_ROTOR{index}_{key}", default) for key, default in (("AX", 0.0), ("AZ", -1.0)))
-    forward, down = map(abs, axis)
-    return down > forward
 
 
 def _of_px4(parameters: Mapping[str, float], order: Sequence[int]) -> Frame | None:

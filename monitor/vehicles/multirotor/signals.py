@@ -88,6 +88,8 @@ def _facts(survey: Survey, inputs: Sequence[Channel]) -> tuple[str, ...]:
     facts = ["frame: not in the recording; the motion has to tell which way each motor turns the vehicle"]
     if frame is not None:
         facts = [f"frame: {frame.name}, of the vehicle's parameters"]
+    if survey.is_vtol:
+        facts.append("watched where its rotors alone carry it: in forward flight and transitions not")
     if (escs := esc_signals([survey], len(inputs))) is not None:
         measured = f"{escs.speed[0].message} at {escs.rate_hz:.3g} Hz"
         facts.append(f"speed controllers: whether speeds follow commands, and currents speeds, by {measured}")
