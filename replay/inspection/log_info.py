@@ -229,10 +229,10 @@ def _fits(surveyed: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[st
     for name in _FIELD_RECORDS:
         rate_hz = tally.rates[name].hz if name in tally.rates else None
         for fit in fits.values():
-            if "compass" in fit["watches"] and rate_hz is not None and rate_hz < _FIELD_HZ:
+            if "compass" in fit["watches"] and rate_hz is not None and round(rate_hz) < _FIELD_HZ:
                 fit["missing"].append(
                     f"{name} at {_FIELD_HZ:g} Hz: it comes at {rate_hz:.3g} Hz, so that a compass shows faults of tens "
-                    "of degrees only (PX4: SDLOG_PROFILE 2065 logs it at 14 Hz)"
+                    "of degrees only" + " (SDLOG_PROFILE 2065 logs it at 14 Hz)" * surveyed.px4
                 )
     likely = likely_kinds(KINDS, tally.said(tally.watched).identity.vehicle_type)
     return {

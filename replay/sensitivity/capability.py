@@ -59,7 +59,8 @@ def measure_capability(profile: Profile, logs: Sequence[BatchSource]) -> tuple[C
     [observer] = profile.observers
     wanted = Pipeline(profile).interests
     played = (play_healthy(profile, (of_names(batch, wanted) for batch in log())) for log in logs)
-    recordings = [recording for recording in played if observer.name in recording.flights]
+    flown = (recording for recording in played if observer.name in recording.flights)
+    recordings = [recording for recording in flown if len(recording.flights[observer.name].evidence)]
     thresholds = {rule.channel: rule.threshold for rule in observer.alarms}
     longer = max(1.0, _TICKS / observer.rate_hz / WITHIN_S[0])
     limits = [float(f"{delay * longer:.2g}") for delay in WITHIN_S]
@@ -92,7 +93,7 @@ def step_sizes(threshold: float) -> tuple[float, ...]:
 
 def _typical_command(fault: FaultChannel, flights: Sequence[Flight]) -> float:
     """Return the root mean square of the command that a fault scales, zero where there is none or no sample."""
-    if fault.input is None or not sum(len(flight.evidence) for flight in flights):
+    if fault.input is None or not flights:
         return 0.0
     command = np.concatenate([flight.samples.u[flight.armed, fault.input] for flight in flights])
     return float(np.sqrt(np.mean(command**2)))

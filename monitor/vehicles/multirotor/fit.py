@@ -309,7 +309,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
             *([range_text(commands, surveys)] if ranges else []),
             identified.line,
             *([] if drive.supply is None else [_supply_text(drive.supply)]),
-            *_lines(watched, alarms),
+            *_lines(watched, alarms, bare.excitation),
         ),
         details=identified.details,
         comparison=identified.comparison,
@@ -607,9 +607,13 @@ def _details(motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift)
     )
 
 
-def _lines(watched: Mapping[str, float], alarms: Sequence[Calibrated]) -> tuple[str, ...]:
-    rules = {found.rule.channel: found.rule for found in alarms}
+def _lines(
+    watched: Mapping[str, float], alarms: Sequence[Calibrated], excitation: ExcitationRule | None
+) -> tuple[str, ...]:
+    # with what errors at rest ask for
+    scale = math.sqrt(max(1.0, excitation.constant if excitation is not None else 0.0))
+    sizes = {found.rule.channel: (scale * found.rule.threshold, found.rule.unit) for found in alarms}
     return tuple(
-        f"{motor} alarm from {size_text(rules[motor].threshold, rules[motor].unit, command)} (hovers at {command:.2f})"
+        f"{motor} alarm from {size_text(*sizes[motor], command)} (hovers at {command:.2f})"
         for motor, command in watched.items()
     )
