@@ -81,6 +81,11 @@ def test_the_digest_follows_every_edit(folder: Path) -> None:
         (r'^faults = \["motor1"\]$', 'faults = ["motor2"]', "the same faults twice"),
         (r"^slow = .*", "slow = -1.0", "slow' is -1; it must be at least"),
         (r"alarms\.motor1\]", "alarms.motor9]", "no such fault; the model has motor1"),
+        (
+            r"^(\[observers\.\w+\.fitted_hz\])",
+            r"[observers.motors.lift]\nby = 'air'\n\1",
+            "lift.by' is \"air\"; it must be 'rotors' or 'wings'",
+        ),
         (r"^SERVO_OUTPUT_RAW = .*", "SERVO_OUTPUT_RAW = 0.0", "fitted_hz.SERVO_OUTPUT_RAW' is 0; it must be more than"),
         (r"^format = 1", "format = = 1", "not valid TOML"),
     ],
