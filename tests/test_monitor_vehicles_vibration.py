@@ -72,6 +72,17 @@ def test_a_healthy_flight_raises_nothing(profile: Profile, fitted: Fitted) -> No
     assert fitted.findings["left"] == pytest.approx(0.12, abs=0.08)
 
 
+def test_the_mean_of_levels_and_rates_does_not_tell_whether_a_vehicle_flies() -> None:
+    quiet = dict.fromkeys(("vibration_x", "vibration_y", "vibration_z"), 0.3)
+    flown = [
+        replace(message, fields={**message.fields, **quiet}) if message.name == "VIBRATION" else message
+        for message in flight(1, 60.0, esc_hz=1.0)
+        if message.name != "EXTENDED_SYS_STATE"
+    ]
+    found = fit_vibration(request(list(packed(flown))), replace(GATE, airborne_command=0.4))
+    assert found is not None and found.flight_s > 50.0
+
+
 def test_without_levels_there_is_no_observer_and_zeros_are_refused() -> None:
     flown = list(flight(1, 30.0, esc_hz=1.0))
     log = list(packed(flown))

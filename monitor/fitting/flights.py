@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, fields, replace
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut, gathered, one_message, rows_of
+from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.message import Message
 from adapters.sample import Samples, joined_samples
@@ -116,12 +117,20 @@ def flight_samples(
     *,
     commands: bool = True,
 ) -> Flight:
-    """Return the samples of a recording, ``rate_hz`` of them per second; raw signals of sensors are no ``commands``."""
+    """Return the samples of a recording, ``rate_hz`` of them per second; without ``commands`` their mean is none."""
     sampler = GatedSampler(source, rate_hz, VehicleClock(), gate, supply, commands=commands)
     flights: list[Flight] = []
     for part, phase in _by_phase(batches):
         flights.append(Flight(*sampler.sample(part, phase)))
     return joined_flights(flights)
+
+
+def raw_flights(
+    logs: Iterable[Callable[[], Iterable[Batch]]], channels: Sequence[Channel], rate_hz: float, gate: GateRule
+) -> list[Flight]:
+    """Return raw signals of recordings for a transform; as in a transform's observer they are no commands of flight."""
+    source = SampleSource(inputs=tuple(channels))
+    return [flight_samples(log(), source, rate_hz, gate, commands=False) for log in logs]
 
 
 def transformed(flight: Flight, transform: Transform) -> Flight:

@@ -22,7 +22,7 @@ from monitor.estimation.envelope import reached
 from monitor.fitting.calibrate import LEVEL_SHARE, SETTLE_S, bank_rule
 from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
-from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.flights import Flight, raw_flights, transformed
 from monitor.fitting.spread import fit_spread
 from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import (
@@ -390,9 +390,7 @@ def _sampled(request: FitRequest, source: StrapdownSource, gate: GateRule) -> tu
     if LEARNED in source.parameters:
         # which messages came at the same time
         signal_hz *= max(1, round(_RATE_HZ / signal_hz))
-    raw = SampleSource(inputs=source.channels)
-    flights = [flight_samples(log(), raw, signal_hz, gate, commands=False) for log in request.logs]
-    return flights, signal_hz, rate_hz
+    return raw_flights(request.logs, source.channels, signal_hz, gate), signal_hz, rate_hz
 
 
 def _told(raw: Sequence[Flight], signal_hz: float) -> bool:

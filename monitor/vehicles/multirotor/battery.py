@@ -33,7 +33,7 @@ from monitor.alarms.alarm import RESISTANCE
 from monitor.core.lagged import LaggedMeans
 from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.flights import Flight, raw_flights, transformed
 from monitor.fitting.thresholds import Times, healthy_evidence, plain_only
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters
@@ -161,7 +161,7 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
     _, outputs = multirotor_channels(request.surveys)
     channels = (*reported[:3], outputs[0], *reported[3:])
     rate_hz = float(f"{min(reported_hz, _FASTEST_HZ):.3g}")
-    raw = [flight_samples(log(), SampleSource(inputs=channels), rate_hz, gate) for log in request.logs]
+    raw = raw_flights(request.logs, channels, rate_hz, gate)
     parameters = _learned(raw, rate_hz)
     if parameters is None:
         return None

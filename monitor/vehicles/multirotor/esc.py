@@ -27,7 +27,7 @@ from monitor.alarms.alarm import CURRENT, SPEED
 from monitor.alarms.excuse import ExcuseRule
 from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.flights import Flight, raw_flights, transformed
 from monitor.fitting.survey import fitted_rates
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated, Times, healthy_evidence
 from monitor.sampling.gate import GateRule
@@ -159,7 +159,7 @@ def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
     rate_hz = float(f"{min(signals.rate_hz, _FASTEST_HZ):.3g}")
     signal_hz = rate_hz * max(1, round(_SIGNAL_HZ / rate_hz))
     channels = (*commands, *signals.speed, *signals.current, *signals.voltage)
-    raw = [flight_samples(log(), SampleSource(inputs=channels), signal_hz, gate) for log in request.logs]
+    raw = raw_flights(request.logs, channels, signal_hz, gate)
     found = _identified(raw, commands, signal_hz, rate_hz)
     source = SampleSource(signals=channels, fitted_hz=fitted_rates(request.surveys, commands))
     fitted = _designed(request.name, gate, raw, source, found, signals, signal_hz, rate_hz)

@@ -39,7 +39,7 @@ from monitor.alarms.excuse import ExcuseRule
 from monitor.core.lagged import LaggedMeans, cosines, sines
 from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.flights import Flight, raw_flights, transformed
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, healthy_evidence
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters, raw_per_sample
@@ -217,7 +217,7 @@ def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
         )
     axes = (Channel(axis, message, (axis,), scale=_IMUS[message], interpolation="previous") for axis in _AXES)
     channels = (*axes, *(replace(channel, interpolation="linear") for channel in signals.speed))
-    raw = [flight_samples(log(), SampleSource(inputs=channels), signal_hz, gate) for log in request.logs]
+    raw = raw_flights(request.logs, channels, signal_hz, gate)
     drift = _drift([flight.samples.u[flight.armed, len(_AXES) :] for flight in raw], signal_hz, signals.rate_hz)
     if drift > _LARGEST_DRIFT:
         raise ModelError(

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from adapters.channels import Channel
 from monitor.core.lagged import exponential_mean
 from monitor.fitting.fitted import FitRequest
-from monitor.fitting.flights import flight_samples
+from monitor.fitting.flights import raw_flights
 from monitor.fitting.survey import ESC_MESSAGES, Survey
 from monitor.sampling.gate import GateRule
-from monitor.sampling.transform import SampleSource
 
 _STATUS = "ESC_STATUS"
 _OF_A_MESSAGE = 4
@@ -125,16 +124,15 @@ def motor_speeds(request: FitRequest, gate: GateRule, commands: Sequence[Channel
     found = esc_signals(request.surveys, len(commands))
     if found is None:
         return None
-    source = SampleSource(inputs=(*commands, *(replace(channel, interpolation="linear") for channel in found.speed)))
+    channels = (*commands, *(replace(channel, interpolation="linear") for channel in found.speed))
     keep = float(np.exp(-1.0 / (_USUAL_LAG_S * _COMPARED_HZ)))
     stretches = []
-    for log in request.logs:
-        flight = flight_samples(log(), source, _COMPARED_HZ, gate)
+    for flight in raw_flights(request.logs, channels, _COMPARED_HZ, gate):
         u = flight.samples.u
         if len(u):
             lagged = exponential_mean(u[:, : len(commands)] - u[0, : len(commands)], keep)
             stretches.append(np.hstack([lagged + u[0, : len(commands)], u[:, len(commands) :]])[flight.armed])
-    values = np.concatenate(stretches) if stretches else np.empty((0, len(source.inputs)))
+    values = np.concatenate(stretches) if stretches else np.empty((0, len(channels)))
     if len(values) < _COMPARED_HZ:
         return None
     order = _order(values[:, : len(commands)], values[:, len(commands) :])

@@ -26,7 +26,7 @@ from monitor.alarms.alarm import CLIPS, LOG_TIMES
 from monitor.core.lagged import LaggedMeans
 from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.flights import Flight, raw_flights, transformed
 from monitor.fitting.thresholds import Times, healthy_evidence
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters, raw_per_sample
@@ -160,7 +160,7 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
     channels = (*levels, *named, *outputs[: len(RATE_AXES)], *counters)
     rate_hz = float(f"{min(reported_hz, _FASTEST_HZ):.3g}")
     signal_hz = rate_hz * max(1, round(_SIGNAL_HZ / rate_hz))
-    raw = [flight_samples(log(), SampleSource(inputs=channels), signal_hz, gate) for log in request.logs]
+    raw = raw_flights(request.logs, channels, signal_hz, gate)
     parameters, left = _learned(raw, len(commands), signal_hz, rate_hz)
     source = SampleSource(transform=TransformRule(OBSERVER, signal_hz, parameters), signals=channels)
     flights = [transformed(flight, VibrationInputs(parameters, signal_hz, rate_hz)) for flight in raw]

@@ -17,10 +17,9 @@ import numpy as np
 
 from adapters.channels import Channel
 from monitor.fitting.fitted import FitRequest
-from monitor.fitting.flights import flight_samples
+from monitor.fitting.flights import raw_flights
 from monitor.sampling.gate import GateRule
 from monitor.sampling.supply import BATTERY_MESSAGE, SupplyRule
-from monitor.sampling.transform import SampleSource
 
 _GRID_HZ, _BLOCK = 1.0, 10
 """Means over ten seconds: manoeuvres and gusts are shorter."""
@@ -40,10 +39,9 @@ def fit_supply(request: FitRequest, gate: GateRule, commands: Sequence[Channel])
     if not all(survey.rate_hz.get(BATTERY_MESSAGE, 0.0) > 0.0 for survey in request.surveys):
         return None
     volts = Channel("volts", BATTERY_MESSAGE, ("voltage_battery",), scale=0.001, interpolation="previous")
-    source = SampleSource(inputs=(*(replace(channel, interpolation="mean") for channel in commands), volts))
+    channels = (*(replace(channel, interpolation="mean") for channel in commands), volts)
     blocks = []
-    for log in request.logs:
-        flight = flight_samples(log(), source, _GRID_HZ, gate)
+    for flight in raw_flights(request.logs, channels, _GRID_HZ, gate):
         kept = flight.samples.u[flight.armed & (flight.samples.u > 0.0).all(axis=1)]
         of_flight = len(kept) // _BLOCK
         if of_flight < 2:
