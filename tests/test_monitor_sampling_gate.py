@@ -81,7 +81,19 @@ def test_the_mean_command_tells_where_the_landed_state_is_not_reported() -> None
     rule = GateRule(settle_s=0.02, airborne_command=0.3)
     samples = commanded(0.1, 0.4, 0.4, 0.4, 0.2, 0.4, 0.4, 0.4)
     assert admitted(rule, samples, (phase(landed=None), 8)) == [False] * 3 + [True] + [False] * 3 + [True]
-    assert admitted(rule, samples, (phase(), 8)) == [False] * 2 + [True] * 6
+    taken_off = commanded(0.6, 0.1, 0.4, 0.4, 0.2, 0.4, 0.4, 0.4)
+    assert admitted(rule, taken_off, (phase(), 8)) == [False] * 2 + [True] * 6
+
+
+def test_what_reports_that_it_flies_counts_from_commands_of_hovering_on() -> None:
+    rule = GateRule(settle_s=0.02, airborne_command=0.3)
+    leaning = commanded(0.1, 0.3, 0.5, 0.5, 0.6, 0.3, 0.5, 0.5)
+    assert admitted(rule, leaning, (phase(), 8)) == [False] * 6 + [True] * 2
+    assert admitted(rule, leaning, (phase(), 3), (phase(), 8)) == [False] * 6 + [True] * 2
+    # on the ground again
+    assert admitted(rule, leaning, (phase(), 5), (phase(landed=1), 6), (phase(), 8)) == [False] * 8
+    unloaded = commanded(*[0.4] * 1100)
+    assert admitted(rule, unloaded, (phase(), 1100)).index(True) == 1002
 
 
 def test_raw_signals_of_sensors_are_no_commands() -> None:
@@ -169,7 +181,7 @@ def test_what_a_multirotors_sensors_show_is_no_evidence_while_all_of_it_stands_s
     values = np.random.default_rng(1).normal(size=(80, 2))
     # both freeze, one of them once more, and both for less than any noise explains
     values[30:60], values[65:, 0], values[62:65] = values[30], values[65, 0], values[62]
-    samples = replace(commanded(*[0.5] * 80), y=values)
+    samples = replace(commanded(*[0.6] * 80), y=values)
     moving = [True] * 50 + [False] * 10
     for rule, commands, expected in (
         (GateRule(settle_s=0.0, airborne_command=0.3), True, [*moving, *[True] * 20]),
@@ -190,16 +202,17 @@ def test_a_restart_settles_anew() -> None:
 
 
 @given(
-    st.lists(st.sampled_from([0.1, 0.4]), min_size=1, max_size=40),
+    st.lists(st.sampled_from([0.1, 0.4, 0.6]), min_size=1, max_size=40),
     st.lists(st.integers(0, 39), max_size=3),
     st.lists(st.integers(0, 40), max_size=5),
+    st.sampled_from([None, 2]),
 )
 def test_where_samples_are_cut_makes_no_difference(
-    commands: Sequence[float], restarts: Sequence[int], cuts: Sequence[int]
+    commands: Sequence[float], restarts: Sequence[int], cuts: Sequence[int], landed: int | None
 ) -> None:
     samples, rule = commanded(*commands), GateRule(settle_s=0.03, airborne_command=0.3)
     samples.restart[[row for row in restarts if row < len(samples)]] = True
-    known, gate = phase(landed=None), FlightGate(rule)
+    known, gate = phase(landed=landed), FlightGate(rule)
     places = [0, *sorted(min(cut, len(samples)) for cut in cuts), len(samples)]
     found = [good for start, stop in pairwise(places) for good in gate.admitted(known, samples.part(start, stop))]
     assert found == FlightGate(rule).admitted(known, samples).tolist()

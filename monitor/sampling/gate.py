@@ -2,9 +2,11 @@
 
 Rules, in order: a vehicle known to be disarmed is not watched; where the vehicle reports its landed state, only
 "in the air" counts, and "landing" while it is still high; where it does not, a mean command of at least
-``airborne_command`` takes its place; if that is zero, a height that is not its home's. A vehicle of rotors and wings
-has to be carried by those that an observer watches. Samples in which all of a multirotor's sensors stand still do not
-count either: what sends them is frozen. Each time the rules come to hold,
+``airborne_command`` takes its place; if that is zero, a height that is not its home's. ArduPilot reports "in the air"
+as soon as motors leave idle, so that one that is flown by hand may still stand on the ground and lean against it: from
+that report on a multirotor's samples count once its mean command has been that of hovering. A vehicle of rotors and
+wings has to be carried by those that an observer watches. Samples in which all of a multirotor's sensors stand still do
+not count either: what sends them is frozen. Each time the rules come to hold,
 ``settle_s`` of vehicle time passes before evidence counts. When the reported flight phase comes to allow evidence, the
 samples restart: the estimates made on the ground, before the first fix of the GPS or while the vehicle was carried
 about, are forgotten.
@@ -30,6 +32,13 @@ from monitor.sampling.transform import LiftRule, SampleSource, make_transform
 _DRIVEN_SAMPLES = 3
 """Samples with commands of flight that say that it flies. Of 44 flights over all links commands fall with the report
 that it has landed or is disarmed, or with the next message of them: one sample more at most."""
+
+_HOVERING = 1.8
+"""Mean command of what lifts off, in ``airborne_command``: nine tenths of that of the fitted flights, of which that is
+the half. To lift off takes more than to hover; of flights that only hover every second sample has less than all."""
+_LIFTED_NS = 10_000_000_000
+"""A vehicle that has reported for so long that it flies is believed: without a load it hovers with less. Chosen: twice
+the longest of the slow take-offs seen (4 s)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +77,9 @@ class FlightGate:
         self._rule, self._commands = rule, commands and rule.airborne_command > 0.0
         self._settling = Settling(rule.settle_s, self._commands)
         self._driven: int | None = None
+        self._lifted = False  # whether a vehicle that reports that it flies has lifted off
+        self._reported_ns: int | None = None  # vehicle time since which it reports that; None where it does not
+        self._idle = -1
         self.by_command = False
         self._lift = lift
         self._least = lift.least_command if lift is not None and commands and lift.least_command > 0.0 else None
@@ -76,7 +88,7 @@ class FlightGate:
     @property
     def idle(self) -> int:
         """The last row of the latest samples with a mean command too small for flight; -1 where there was none."""
-        return self._settling.idle if self.by_command else -1
+        return self._idle
 
     @property
     def airborne(self) -> bool | None:
@@ -105,10 +117,27 @@ class FlightGate:
             self._driven = -1 if low.any() else self._driven + int(np.count_nonzero(samples.measured & flight))
         lift = self._lift
         self.carried = lift is None or phase.carried in (None, lift.by)
-        least = rule.airborne_command if by_command else self._least
-        admitted = self._settling.run(samples, self.carried and allows(rule, phase), least)
+        allowed, least = allows(rule, phase), rule.airborne_command if by_command else self._least
+        if not allowed:
+            self._lifted, self._reported_ns = False, None
+        reported = allowed and rule.require_airborne and commands and phase.landed is not None
+        ground = self._on_ground(samples) if reported and not self._lifted else 0
+        admitted = self._settling.run(samples.part(0, ground), False, None) if ground else np.zeros(0, np.bool_)
+        after = samples.part(ground, len(samples)) if ground else samples
+        admitted = np.append(admitted, self._settling.run(after, self.carried and allowed, least))
+        self._idle = ground - 1 if ground else self._settling.idle if self.by_command else -1
         self.carried &= self._least is None or self._settling.commanded
         return admitted
+
+    def _on_ground(self, samples: Samples) -> int:
+        """Return how many samples of a vehicle that reports that it flies are from before it lifted off."""
+        times_ns = samples.vehicle_time_ns
+        if self._reported_ns is None and len(samples):
+            self._reported_ns = int(times_ns[0])
+        hovers = samples.u.mean(axis=1) >= _HOVERING * self._rule.airborne_command
+        first = np.flatnonzero(hovers | (times_ns - (self._reported_ns or 0) >= _LIFTED_NS))[:1]
+        self._lifted = len(first) > 0
+        return int(first[0]) if self._lifted else len(samples)
 
 
 class GatedSamples(NamedTuple):
