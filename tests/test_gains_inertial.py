@@ -17,6 +17,8 @@ from gains.synthesis.bank import Hypothesis
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from monitor.estimation.affine import AffineObserver
+from monitor.profile import FaultChannel
+from monitor.vehicles.inertial.fit import _alarms as sensor_alarms
 from monitor.vehicles.inertial.identify import inertial_bank, inertial_hypotheses, inertial_plant, smallest_faults
 from monitor.vehicles.inertial.sensor_fit import (
     InertialData,
@@ -202,3 +204,11 @@ def test_sensors_that_come_once_a_second_are_fitted_in_their_order(judged: tuple
     fit = identify_inertial(InertialData([flight], transform.inputs, outputs, 1.0, WASHOUTS))
     assert all(0.0 < size < 100.0 for size in fit.noise.values())
     assert tuple(name for name in fit.noise if name in judged) == judged
+
+
+@pytest.mark.parametrize(("off", "watched"), [(0.02, True), (2.0, False)])
+def test_a_compass_that_healthy_flight_turns_around_is_not_watched(off: float, watched: bool) -> None:
+    headings = off * np.random.default_rng(3).standard_t(3.0, size=(4000, 1))
+    compass = FaultChannel("compass", "sensor", "rad", None)
+    found = sensor_alarms([compass], [np.abs(headings)], [], 25.0, {"compass": 0.17}, ())
+    assert [alarm.rule.channel for alarm in found] == ["compass"] * watched

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from math import inf, sqrt
+from math import inf, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -483,6 +483,8 @@ def _alarms(
         levels = healthy_levels(series, rate_hz, share, shown, _MOST_OF_JUMPS if edges else inf)
         bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
         found = calibrated(bare, levels, 1.0, floor=floor, critical=_CRITICAL * floor, times=times)
+        if channel.unit == "rad" and found.rule.threshold > pi:
+            continue  # no heading is that far off
         if edges:
             found = plain_only(found)
         # what is washed out twice swings back to a seventh of a jump, of which the mean knows nothing
@@ -507,6 +509,8 @@ def _lines(parameters: Mapping[str, float], alarms: Sequence[Calibrated], imu: b
         f"{key.removesuffix('_delay_s')} {value:.2f} s" for key, value in parameters.items() if "delay" in key
     )
     sizes = ", ".join(f"{found.rule.channel} {size_text(found.rule.threshold, found.rule.unit)}" for found in alarms)
+    if parameters["magnetometer"] and not any(found.rule.channel == "compass" for found in alarms):
+        sizes += "; no compass: in healthy flight it is off by as much as any fault could make it"
     if not imu:
         gyros = "; gyros by what the autopilot's estimator learns of their bias, in some 10 to 20 s"
         compared = "no IMU of 10 Hz or more: GPS and barometer against each other and the attitude"
