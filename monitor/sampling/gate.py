@@ -122,9 +122,11 @@ class FlightGate:
             self._lifted, self._reported_ns = False, None
         reported = allowed and rule.require_airborne and commands and phase.landed is not None
         ground = self._on_ground(samples) if reported and not self._lifted else 0
-        admitted = self._settling.run(samples.part(0, ground), False, None) if ground else np.zeros(0, np.bool_)
+        before = [self._settling.run(samples.part(0, ground), False, None)] if ground else []
         after = samples.part(ground, len(samples)) if ground else samples
-        admitted = np.append(admitted, self._settling.run(after, self.carried and allowed, least))
+        admitted = self._settling.run(after, self.carried and allowed, least)
+        if before:
+            admitted = np.concatenate([*before, admitted])
         self._idle = ground - 1 if ground else self._settling.idle if self.by_command else -1
         self.carried &= self._least is None or self._settling.commanded
         return admitted
