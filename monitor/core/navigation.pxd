@@ -14,6 +14,25 @@ cdef inline double wrapped(double angle) noexcept:
     return angle - 2.0 * M_PI * floor((angle + M_PI) / (2.0 * M_PI))
 
 
+cdef inline void cross(const double* a, const double* b, double* product) noexcept:
+    cdef int j
+    for j in range(3):
+        product[j] = a[(j + 1) % 3] * b[(j + 2) % 3] - a[(j + 2) % 3] * b[(j + 1) % 3]
+
+
+cdef inline double along(const double* R, const double* v, int axis) noexcept:
+    """Return how far a vector of the body points along an axis, north, east or down, of an attitude R."""
+    return R[3 * axis] * v[0] + R[3 * axis + 1] * v[1] + R[3 * axis + 2] * v[2]
+
+
+cdef inline double field_rate(const double* R, const double* rate, const double* field) noexcept:
+    """Return by how much a field that is later, measured in body axes, turns about the vertical, rad per second."""
+    cdef double[3] turned
+    cdef double north = along(R, field, 0), east = along(R, field, 1)
+    cross(rate, field, turned)
+    return (east * along(R, turned, 0) - north * along(R, turned, 1)) / (north * north + east * east)
+
+
 cdef enum:
     STATES = 13
     HYPOTHESES = 10

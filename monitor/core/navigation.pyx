@@ -250,11 +250,9 @@ cdef class Navigation:
         # Means over the tick: of the rotation and of the specific force in it.
         self.align(force, rate, aligned, swing)
         for i in range(3):
-            specific[i] = a[i] = self._swing[i] = 0.0
+            a[i], self._swing[i], specific[i] = along(turned, aligned, i), along(turned, swing, i), 0.0
             for j in range(3):
-                a[i] += turned[3 * i + j] * aligned[j]
                 specific[i] += 0.5 * (turned[3 * i + j] * aligned[j] + self._R[3 * i + j] * self._aligned[j])
-                self._swing[i] += turned[3 * i + j] * swing[j]
             # what it is at the tick's end, and by how much it changed over the tick
             acceleration[i] = a[i] + (_GRAVITY if i == 2 else 0.0)
         if first:
@@ -273,9 +271,7 @@ cdef class Navigation:
         before = self._unseen_s
         self._unseen_s = before + self._dt if lacks else 0.0
         for i in range(3):
-            walk = 0.0
-            for j in range(3):
-                walk += self._R[3 * i + j] * between[j]
+            walk = along(self._R, between, i)
             self._Q[i][i] += self.shaken(i, 0) + _BETWEEN * walk * walk
             if lacks:
                 self._Q[i][i] += (_UNSEEN_RATE * self._dt) ** 2
@@ -304,8 +300,8 @@ cdef class Navigation:
         for j in range(3):
             w[j] = rate[j] - self._bias[j]
             f[j] = force[j] - (self._bias[3 + j] if j < 2 else 0.0)
+        cross(w, f, swing)
         for j in range(3):
-            swing[j] = w[(j + 1) % 3] * f[(j + 2) % 3] - w[(j + 2) % 3] * f[(j + 1) % 3]
             aligned[j] = f[j] + self._late_s * swing[j]
 
     cdef void shake(self, int k, double change) noexcept:
@@ -330,7 +326,7 @@ cdef class Navigation:
         cdef double[3] turned
         cdef double[3] rate
         cdef double square
-        cdef int i, j
+        cdef int i
         if self._field_noise == 0.0:
             self._direction, self._pointed = wrapped(atan2(R[3], R[0]) - atan2(self._R[3], self._R[0])), True
             return
@@ -340,20 +336,15 @@ cdef class Navigation:
         # the attitude at which it was measured, by what the body turned since
         for i in range(3):
             rate[i] = self._rate[i] - self._bias[i]
-            north[i] = -self._field_late_s * rate[i]
-        _turned(self._R, north, then)
+            turned[i] = -self._field_late_s * rate[i]
+        _turned(self._R, turned, then)
         for i in range(3):
-            north[i] = turned[i] = 0.0
-            for j in range(3):
-                north[i] += then[3 * i + j] * field[j]
-                turned[i] += then[3 * i + j] * (
-                    rate[(j + 1) % 3] * field[(j + 2) % 3] - rate[(j + 2) % 3] * field[(j + 1) % 3]
-                )
+            north[i] = along(then, field, i)
         square = north[0] * north[0] + north[1] * north[1]
         if square > 0.0:
             self._direction, self._pointed = -atan2(north[1], north[0]), True
             self._tilting[0], self._tilting[1] = -north[2] * north[0] / square, -north[2] * north[1] / square
-            self._turning = (north[1] * turned[0] - north[0] * turned[1]) / square
+            self._turning = field_rate(then, rate, field)
 
     cdef void advance(self, double* m, int apart, const double* f) noexcept:
         """Multiply a column of a matrix from the left with the tick's transition, or a row with its transpose."""
@@ -585,16 +576,12 @@ cdef class Navigation:
         cdef double[9] R
         cdef double[9] E
         cdef double[3] turn
-        cdef int i, j, k
+        cdef int i
         for i in range(9):
             E[i] = 1.0 if i % 4 == 0 else 0.0
         memcpy(turn, x, sizeof(turn))
         _turned(E, turn, R)
-        for i in range(3):
-            for j in range(3):
-                E[3 * i + j] = 0.0
-                for k in range(3):
-                    E[3 * i + j] += R[3 * i + k] * self._R[3 * k + j]
+        _product(R, self._R, E)
         memcpy(self._R, E, sizeof(self._R))
         for i in range(2):
             self._velocity[i] += x[_V + i]
@@ -761,7 +748,6 @@ cdef inline void _turned(const double* R, const double* turn, double* result) no
     """Fill in R exp(turn x), by the formula of Rodrigues."""
     cdef double x = turn[0], y = turn[1], z = turn[2], angle = sqrt(x * x + y * y + z * z), s, c
     cdef double[9] E
-    cdef int i, j
     # sin(a) / a and (1 - cos(a)) / a^2, by their series where a is too small to divide by
     if angle > 1e-4:
         s, c = sin(angle) / angle, (1.0 - cos(angle)) / (angle * angle)
@@ -770,6 +756,11 @@ cdef inline void _turned(const double* R, const double* turn, double* result) no
     E[0], E[1], E[2] = 1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
     E[3], E[4], E[5] = c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x
     E[6], E[7], E[8] = c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)
+    _product(R, E, result)
+
+
+cdef inline void _product(const double* A, const double* B, double* product) noexcept:
+    cdef int i, j
     for i in range(3):
         for j in range(3):
-            result[3 * i + j] = R[3 * i] * E[j] + R[3 * i + 1] * E[3 + j] + R[3 * i + 2] * E[6 + j]
+            product[3 * i + j] = A[3 * i] * B[j] + A[3 * i + 1] * B[3 + j] + A[3 * i + 2] * B[6 + j]

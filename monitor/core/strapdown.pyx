@@ -14,7 +14,7 @@ from cpython.mem cimport PyMem_Free, PyMem_Malloc
 from libc.math cimport INFINITY, M_PI, atan2, cos, fabs, fmod, hypot, pow, sin, sqrt
 from libc.string cimport memcmp, memcpy, memset
 
-from monitor.core.navigation cimport Navigation, is_steep, wrapped
+from monitor.core.navigation cimport Navigation, along, field_rate, is_steep, wrapped
 
 cdef double _GRAVITY = STANDARD_GRAVITY
 # WGS-84: semi-major axis in metres and square of the first eccentricity.
@@ -593,12 +593,12 @@ cdef class StrapdownCore:
         # Between two measurements on either side of the vertical a straight line of roll, pitch and yaw is no attitude.
         values[6] = self._tipped or is_steep(values[2])
         values[7] = values[6] != 0.0 or (
-            self._mag and fabs(_field_rate(R, rate, sensors + self._gps * (3 + self._speeds) + self._baro)) > _WHIRLING
+            self._mag and fabs(field_rate(R, rate, sensors + self._gps * (3 + self._speeds) + self._baro)) > _WHIRLING
         )
         level = self._levels.push(values)
         # Acceleration north, east and down: R f + g.
         for axis in range(3):
-            values[axis] = _along(R, signals, axis)
+            values[axis] = along(R, signals, axis)
         values[2], values[3] = values[2] + _GRAVITY, lacks[_IMU]
         motion = self._motion.push(values)
         if self._navigation is not None:
@@ -625,7 +625,7 @@ cdef class StrapdownCore:
                 values[3], values[4] = sensors[3] * cos(course), sensors[3] * sin(course)
             elif self._speeds == 3:
                 for axis in range(2):
-                    values[3 + axis] = _along(R, sensors + 3, axis)
+                    values[3 + axis] = along(R, sensors + 3, axis)
             values[5] = lacks[_GPS]
             fix = self._fixes.push(values)
             full = full and fix != NULL
@@ -955,7 +955,7 @@ cdef class StrapdownCore:
                 apart[axis] = angles[axis] - rate[axis] * self._dt
                 largest = max(largest, fabs(apart[axis]))
             self._resets = self._resets + 1 if largest > _RESET_RATE * self._dt and not still else 0
-            tipped = hypot(_along(R, apart, 0), _along(R, apart, 1)) > _RESET_RATE * self._dt
+            tipped = hypot(along(R, apart, 0), along(R, apart, 1)) > _RESET_RATE * self._dt
             self._tipped = self._resets > 0 and (tipped or self._tipped)
             for axis in range(3):
                 turning[axis] = angles[axis] / self._dt
@@ -1005,11 +1005,6 @@ cdef inline void _rotation(const double* level, double cy, double sy, double* R)
     R[6], R[7], R[8] = -sp, sr * cp, cr * cp
 
 
-cdef inline double _along(const double* R, const double* v, int axis) noexcept:
-    """Return how far a vector of the body points north, east or down."""
-    return R[3 * axis] * v[0] + R[3 * axis + 1] * v[1] + R[3 * axis + 2] * v[2]
-
-
 cdef inline double _product(const double* before, const double* after, int i, int j) noexcept:
     """Return an element of R(before)' R(after)."""
     return 0.0 + before[i] * after[j] + before[3 + i] * after[3 + j] + before[6 + i] * after[6 + j]
@@ -1047,18 +1042,8 @@ cdef double _heading_rate(const double* R, double dt, double p, double q, double
 cdef inline double _magnetic_heading(const double* level, const double* field) noexcept:
     """Return the angle clockwise from magnetic north, roll and pitch of a field in body axes taken back."""
     cdef double across = field[1] * level[0] - field[2] * level[1]
-    cdef double along = field[0] * level[2] + (field[1] * level[1] + field[2] * level[0]) * level[3]
-    return atan2(-across, along)
-
-
-cdef double _field_rate(const double* R, const double* rate, const double* field) noexcept:
-    """Return how fast a field that is late, measured in body axes, turns about the vertical as the body turns."""
-    cdef double[3] turned
-    cdef double north = _along(R, field, 0), east = _along(R, field, 1)
-    cdef int j
-    for j in range(3):
-        turned[j] = rate[(j + 1) % 3] * field[(j + 2) % 3] - rate[(j + 2) % 3] * field[(j + 1) % 3]
-    return (east * _along(R, turned, 0) - north * _along(R, turned, 1)) / (north * north + east * east)
+    cdef double forward = field[0] * level[2] + (field[1] * level[1] + field[2] * level[0]) * level[3]
+    return atan2(-across, forward)
 
 
 cdef void _metres_per_degree(double latitude, double* lengths) noexcept:
