@@ -298,8 +298,9 @@ cdef class StrapdownCore:
     cdef double[2] _way
     cdef int _loose
     cdef bint _unstuck
-    # For how many ticks neither GPS nor IMU has shown a motion.
+    # For how many ticks neither GPS nor IMU has shown a motion, and whether no fix that moves has been met since.
     cdef int _resting
+    cdef bint _stood
     # u of the tick before; the sum of u since the period's start, and where it began.
     cdef bint _has_before, _begun, _fresh
     cdef double[_WIDEST] _before
@@ -376,7 +377,7 @@ cdef class StrapdownCore:
         memset(self._apart, 0, sizeof(self._apart))
         self._apart[0] = self._apart[4] = self._apart[8] = 1.0
         self._resets = self._summed = self._stills = self._loose = 0
-        self._tipped = self._unread = False
+        self._tipped = self._unread = self._stood = False
         self._fix_age = self._field_age = self._field_step = self._resting = 0
         self._still = self._blind = self._unstuck = False
         memset(self._doubt, 0, sizeof(self._doubt))
@@ -703,12 +704,16 @@ cdef class StrapdownCore:
 
     cdef void navigate(self, const double* sensed, const double* fix, double* motion) noexcept:
         """Put the accelerations of the vehicle's own navigation in place of those with the autopilot's attitude."""
-        cdef bint lacks = sensed[15] != 0.0, due
+        cdef bint lacks = sensed[15] != 0.0, stands = self.rests(), due, news
         if not self._navigation._begun and (lacks or fix[5] != 0.0):
             return
         due = self._navigation.go_on(sensed, sensed + 3, sensed + 6, sensed + 16, lacks, motion)
         self._navigation.differ(sensed + 6, self._apart)
-        if due and not fix[5] and (self.rests() or memcmp(fix, self._fix, sizeof(self._fix)) != 0):
+        news = memcmp(fix, self._fix, sizeof(self._fix)) != 0
+        # The first fix that moves is met as it comes, and with it the later ones, not the lines between them.
+        self._stood |= stands
+        if not fix[5] and (news and (due or self._stood) or due and stands):
+            self._stood = self._stood and not news
             self._navigation.meet(fix + 3)
             if self._navigation.returned:
                 self._navigation.returned = False
