@@ -107,23 +107,24 @@ def test_a_clock_that_jumps_back_makes_no_rates(telemetry: Telemetry) -> None:
     assert telemetry.run(12, rates) == []
 
 
-def heartbeat(kind: object, at_s: int = 0, autopilot: int = 3) -> Message:
-    fields = {"type": kind, "autopilot": autopilot, "base_mode": 209}
+def heartbeat(kind: object, at_s: int = 0, autopilot: int = 3, armed: bool = True) -> Message:
+    fields = {"type": kind, "autopilot": autopilot, "base_mode": 209 if armed else 81}
     return Message(MAVLINK, "HEARTBEAT", START_NS + at_s * SECOND_NS, fields, 1, 1)
 
 
 def test_the_status_says_that_the_vehicle_is_another_than_the_profile_s(quad_profile: Profile) -> None:
     monitor = VehicleMonitor(Pipeline(quad_profile, system=1), (), None, lambda _: None, START_NS)
-    monitor.process(pack([heartbeat(2)]))
+    monitor.process(pack([heartbeat(2, armed=False)]))
     assert monitor.status(START_NS + SECOND_NS)["reasons"] == []
-    monitor.process(pack([heartbeat(1, 1)]))
-    status = monitor.status(START_NS + 2 * SECOND_NS)
-    assert status["state"] == "degraded"
-    [said] = status["reasons"]
-    assert said == (
-        "not watched: another vehicle than the profile's: it says it is a fixed wing, "
-        "the profile was fitted to a quadrotor"
-    )
+    for at_s, armed, state in ((1, False, "degraded"), (2, True, "blind")):
+        monitor.process(pack([heartbeat(1, at_s, armed=armed)]))
+        status = monitor.status(START_NS + (at_s + 1) * SECOND_NS)
+        assert status["state"] == state
+        [said] = status["reasons"]
+        assert said == (
+            "not watched: another vehicle than the profile's: it says it is a fixed wing, "
+            "the profile was fitted to a quadrotor"
+        )
 
 
 @pytest.mark.parametrize("kind", [0, 6, 250, 99_999_999, -1, None, "1", True])

@@ -149,7 +149,7 @@ def test_a_daemon_goes_on_without_watching_another_vehicle_and_says_so(data: Pat
             assert time.monotonic() < deadline, daemon.log()
             time.sleep(0.1)
         assert daemon.process.poll() is None
-    assert (said[0]["event"], said[0]["level"], said[0]["state"]) == ("status", "warning", "degraded")
+    assert (said[0]["event"], said[0]["level"], said[0]["state"]) == ("status", "warning", "blind")
     assert said[0]["because"].startswith("not watched: ")
 
 
