@@ -29,8 +29,9 @@ test test-long test-system: export PYTHONDONTWRITEBYTECODE =
 test: $(VENV)/.dev
 	$(PYTEST) -m "not long and not system"
 
+# The longest take half a minute each on an idle machine, minutes beside other work.
 test-long: $(VENV)/.dev
-	$(PYTEST) -m long
+	$(PYTEST) -m long --timeout 600
 
 # systemd-analyze, zsh, fish, promtool and Chromium with its driver have to be there
 test-system: $(VENV)/.dev
