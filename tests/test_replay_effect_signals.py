@@ -1,11 +1,12 @@
 """Which messages feed planes and rovers: choices, fallbacks, rates, and what is said where one is missing."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import pytest
 
 from adapters.errors import TelemetryError
-from monitor.fitting.survey import Survey
+from monitor.fitting.survey import MotorOutput, Survey
 from monitor.vehicles.plane.signals import plane_signals
 from monitor.vehicles.plane.transform import SurfaceInputs
 from monitor.vehicles.rover.signals import rover_signals
@@ -31,6 +32,90 @@ def test_pulses_become_deflections() -> None:
     found = [plane[name].value(pulses) for name in ("aileron", "elevator", "throttle", "rudder")]
     assert found == pytest.approx([0.5, -1.0, 0.4, 1.0])
     assert [rover[name].value(pulses) for name in ("steering", "throttle")] == pytest.approx([0.5, -0.2])
+
+
+PX4 = {"CA_AIRFRAME": 1.0, "CA_SV_CS0_TYPE": 2.0, "CA_SV_CS1_TYPE": 3.0, "CA_SV_CS2_TYPE": 4.0}
+FOUR = (201, 202, 203, 101)
+TAIL = PX4 | {"CA_SV_CS1_TYPE": 7.0, "CA_SV_CS2_TYPE": 8.0}
+
+
+def outputs_of(driver: str, functions: Sequence[int]) -> dict[str, float]:
+    return {f"{driver}{n}": float(function) for n, function in enumerate(functions, 1)}
+
+
+def plane_outputs(parameters: Mapping[str, float], px4: bool = True) -> dict[str, str | int]:
+    survey = replace(FULL, parameters=parameters, px4=px4)
+    return {channel.name: channel.path[0] for channel in plane_signals([survey]).channels[:4]}
+
+
+def named(aileron: int, elevator: int, throttle: int, rudder: int) -> dict[str, str]:
+    order = {"aileron": aileron, "elevator": elevator, "throttle": throttle, "rudder": rudder}
+    return {name: f"servo{number}_raw" for name, number in order.items()}
+
+
+@pytest.mark.parametrize("driver", ["PWM_MAIN_FUNC", "HIL_ACT_FUNC"])
+def test_outputs_of_a_px4_plane_are_what_its_parameters_say(driver: str) -> None:
+    assert plane_outputs(PX4 | outputs_of(driver, FOUR)) == named(1, 2, 4, 3)
+    turned = {"CA_SV_CS0_TYPE": 4.0, "CA_SV_CS2_TYPE": 15.0}
+    assert plane_outputs(PX4 | turned | outputs_of(driver, FOUR)) == named(3, 2, 4, 1)
+
+
+def test_the_driver_that_drives_most_counts() -> None:
+    assert plane_outputs(PX4 | {"PWM_MAIN_FUNC5": 101.0} | outputs_of("PWM_AUX_FUNC", FOUR)) == named(1, 2, 4, 3)
+
+
+def test_the_throttle_of_a_px4_vtol_is_the_motor_that_pushes() -> None:
+    vtol = {"CA_AIRFRAME": 2.0, "CA_ROTOR4_AX": 1.0, "CA_ROTOR4_AZ": 0.0}
+    functions = outputs_of("PWM_MAIN_FUNC", (101, 102, 103, 104, 105, 201, 202, 203))
+    assert plane_outputs(PX4 | vtol | functions) == named(6, 7, 5, 8)
+
+
+def test_commands_of_px4_need_no_functions() -> None:
+    moved = MotorOutput(1500.0, 1500.0, 1200, 1800, 0.0, True)
+    survey = replace(FULL, parameters=PX4, px4=True, onboard=True, outputs=dict.fromkeys((1, 9, 10, 11), moved))
+    channels = {channel.name: channel for channel in plane_signals([survey]).channels}
+    pulses = {f"servo{n}_raw": pulse for n, pulse in ((1, 1400), (9, 1750), (10, 1000), (11, 2000))}
+    found = [channels[name].value(pulses) for name in ("throttle", "aileron", "elevator", "rudder")]
+    assert found == pytest.approx([0.4, 0.5, -1.0, 1.0])
+
+
+def test_outputs_of_an_ardupilot_plane_are_what_its_parameters_say() -> None:
+    functions = {"SERVO1_FUNCTION": 70.0, "SERVO2_FUNCTION": 4.0, "SERVO5_FUNCTION": 19.0, "SERVO6_FUNCTION": 21.0}
+    assert plane_outputs(functions, px4=False) == named(2, 5, 1, 6)
+
+
+def test_outputs_of_ardupilot_whose_parameters_were_lost_are_the_usual_ones() -> None:
+    assert plane_outputs({"SERVO2_FUNCTION": 19.0}, px4=False) == named(1, 2, 3, 4)
+
+
+def test_outputs_of_a_px4_rover_are_what_its_parameters_say() -> None:
+    parameters = {"CA_AIRFRAME": 5.0, "PWM_MAIN_FUNC2": 201.0, "PWM_MAIN_FUNC7": 101.0}
+    channels = rover_signals([replace(FULL, parameters=parameters, px4=True)]).channels
+    assert [channel.path[0] for channel in channels[:2]] == ["servo2_raw", "servo7_raw"]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "px4", "said"),
+    [
+        ({}, True, "no parameter of PX4 in the logs says which output drives what"),
+        (TAIL | outputs_of("PWM_MAIN_FUNC", FOUR), True, "elevator and rudder alone: outputs 2, 3 act about two axes"),
+        (
+            {"SERVO1_FUNCTION": 77.0, "SERVO2_FUNCTION": 78.0, "SERVO3_FUNCTION": 70.0, "SERVO4_FUNCTION": 21.0},
+            False,
+            "aileron and elevator alone: outputs 1, 2 act about two axes",
+        ),
+        ({"SERVO1_FUNCTION": 4.0, "SERVO4_FUNCTION": 0.0}, False, "drives rudder alone; "),
+    ],
+)
+def test_outputs_that_are_not_known_or_mixed_are_refused(parameters: Mapping[str, float], px4: bool, said: str) -> None:
+    with pytest.raises(TelemetryError, match=said):
+        plane_outputs(parameters, px4)
+
+
+def test_wheels_of_two_sides_are_refused() -> None:
+    skid = {"SERVO1_FUNCTION": 73.0, "SERVO3_FUNCTION": 74.0}
+    with pytest.raises(TelemetryError, match="outputs 1, 3 act about two axes"):
+        rover_signals([replace(FULL, parameters=skid)])
 
 
 def test_angles_wrap() -> None:

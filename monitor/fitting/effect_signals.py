@@ -8,6 +8,8 @@ from math import tau
 
 from adapters.channels import STANDARD_GRAVITY, Channel
 from adapters.errors import TelemetryError
+from adapters.logs.log_parameters import PARAMETER_MESSAGES
+from monitor.fitting.output_functions import Actuator, actuator_channels
 from monitor.fitting.survey import MOTOR_MESSAGE, Survey
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.slow_telemetry import LOG_FASTER
@@ -18,8 +20,10 @@ _IMU = (("HIGHRES_IMU", 1.0), ("SCALED_IMU", STANDARD_GRAVITY / 1000.0), ("RAW_I
 _ANGLES = {"roll": "roll", "pitch": "pitch", "yaw": "yaw"}
 _RATES = {"roll_rate": "rollspeed", "pitch_rate": "pitchspeed", "yaw_rate": "yawspeed"}
 _FORCES = {"forward_acceleration": "xacc", "lateral_acceleration": "yacc", "vertical_acceleration": "zacc"}
-EFFECT_MESSAGES = FlightPhase.interests | {MOTOR_MESSAGE, _ATTITUDE} | {message for message, _ in _IMU}
-"""Messages of attitude, acceleration and servo outputs, and of the phase of flight."""
+EFFECT_MESSAGES = (
+    FlightPhase.interests | PARAMETER_MESSAGES | {MOTOR_MESSAGE, _ATTITUDE} | {message for message, _ in _IMU}
+)
+"""Messages of attitude, acceleration and servo outputs, of what these drive, and of the phase of flight."""
 _RATES_HZ = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
 """Rates of the grid, hertz: those that autopilots are asked for, so that samples fall on messages."""
 _NEARLY = 0.9
@@ -36,9 +40,9 @@ class EffectSignals:
 
 
 def effect_signals(
-    surveys: Sequence[Survey], names: Sequence[str], servos: Mapping[str, Channel], speeds: Mapping[str, Channel]
+    surveys: Sequence[Survey], names: Sequence[str], actuators: Sequence[Actuator], speeds: Mapping[str, Channel]
 ) -> EffectSignals:
-    """Choose the channels of the transform's signals ``names``; servos and speeds are by signal.
+    """Choose the channels of the transform's signals ``names``: of ``actuators`` and, by signal, of ``speeds``.
 
     The grid follows the slowest of attitude, acceleration and servo outputs; speeds may come less often.
 
@@ -60,16 +64,10 @@ def effect_signals(
         **{name: Channel(name, _ATTITUDE, (field,), period=tau) for name, field in _ANGLES.items()},
         **{name: Channel(name, _ATTITUDE, (field,)) for name, field in _RATES.items()},
         **{name: Channel(name, imu[0], (field,), scale=imu[1]) for name, field in _FORCES.items()},
-        **servos,
+        **actuator_channels(surveys, actuators),
         **speeds,
     }
     return EffectSignals(tuple(known[name] for name in names), _rate_hz(surveys, (_ATTITUDE, MOTOR_MESSAGE, imu[0])))
-
-
-def servo(name: str, number: int, centre: float, span: float) -> Channel:
-    """Return a servo output as (pulse - centre) / span."""
-    field = (f"servo{number}_raw",)
-    return Channel(name, MOTOR_MESSAGE, field, scale=1.0 / span, offset=-centre / span, where=(("port", 0),))
 
 
 def _rate_hz(surveys: Sequence[Survey], messages: Sequence[str]) -> float:

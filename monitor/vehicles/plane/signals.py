@@ -6,37 +6,41 @@ from collections.abc import Sequence
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
-from monitor.fitting.effect_signals import EFFECT_MESSAGES, EffectSignals, effect_signals, servo
+from monitor.fitting.effect_signals import EFFECT_MESSAGES, EffectSignals, effect_signals
+from monitor.fitting.output_functions import MOTOR, Actuator
 from monitor.fitting.survey import Survey
 from monitor.vehicles.base import Preview
 from monitor.vehicles.plane.transform import SurfaceInputs
 
 _AIRSPEED_MESSAGE = "VFR_HUD"
 
+# Functions and kinds as SRV_Channel.h of ArduPilot and CA_SV_CS*_TYPE of PX4 number them; of two
+# ailerons or motors the left one.
+_ACTUATORS = (
+    Actuator("aileron", 1, (4, 24), (15, 1, 2)),
+    Actuator("elevator", 2, (19,), (3,)),
+    Actuator("throttle", 3, (70, 73), px4=MOTOR, one_way=True),
+    Actuator("rudder", 4, (21,), (4,)),
+)
+
 MESSAGES = EFFECT_MESSAGES | {_AIRSPEED_MESSAGE}
 
 
 def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
-    """Choose the channels: ArduPilot's usual outputs (1 aileron, 2 elevator, 3 throttle, 4 rudder), airspeed.
+    """Choose the channels: the outputs that drive surfaces and throttle, airspeed.
 
     Raises
     ------
     TelemetryError
-        A message that is needed is missing or comes too seldom; the text says which to record.
+        A message that is needed is missing or comes too seldom, or outputs are none of a plane's; the text says why.
     """
     if not all(survey.counts.get(_AIRSPEED_MESSAGE) for survey in surveys):
         raise TelemetryError(f"no airspeed in every log; record {_AIRSPEED_MESSAGE} at 10 Hz or more")
-    servos = {
-        "aileron": servo("aileron", 1, 1500.0, 500.0),
-        "elevator": servo("elevator", 2, 1500.0, 500.0),
-        "throttle": servo("throttle", 3, 1000.0, 1000.0),
-        "rudder": servo("rudder", 4, 1500.0, 500.0),
-    }
     airspeed = {"airspeed": Channel("airspeed", _AIRSPEED_MESSAGE, ("airspeed",))}
-    return effect_signals(surveys, SurfaceInputs.signals, servos, airspeed)
+    return effect_signals(surveys, SurfaceInputs.signals, _ACTUATORS, airspeed)
 
 
 def preview(survey: Survey) -> Preview:
     """Return what could be watched with the messages of a recording."""
     signals = plane_signals([survey])
-    return Preview(("aileron", "elevator", "throttle", "rudder"), signals.channels, signals.rate_hz)
+    return Preview(tuple(actuator.name for actuator in _ACTUATORS), signals.channels, signals.rate_hz)

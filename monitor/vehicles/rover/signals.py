@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
-from monitor.fitting.effect_signals import EFFECT_MESSAGES, EffectSignals, effect_signals, servo
+from monitor.fitting.effect_signals import EFFECT_MESSAGES, EffectSignals, effect_signals
+from monitor.fitting.output_functions import MOTOR, SERVO, Actuator
 from monitor.fitting.survey import Survey
 from monitor.vehicles.base import Preview
 from monitor.vehicles.rover.transform import DriveInputs
@@ -14,16 +15,19 @@ from monitor.vehicles.rover.transform import DriveInputs
 # Messages of velocity over ground and the m/s in their units, the preferred one first.
 _VELOCITIES = (("LOCAL_POSITION_NED", 1.0), ("GLOBAL_POSITION_INT", 0.01))
 
+# Functions as SRV_Channel.h of ArduPilot and PX4's rovers number them.
+_ACTUATORS = (Actuator("steering", 1, (26,), px4=SERVO), Actuator("throttle", 3, (70,), px4=MOTOR))
+
 MESSAGES = EFFECT_MESSAGES | {message for message, _ in _VELOCITIES}
 
 
 def rover_signals(surveys: Sequence[Survey]) -> EffectSignals:
-    """Choose the channels: ArduPilot's usual outputs (1 steering, 3 throttle), velocity over ground.
+    """Choose the channels: the outputs that drive steering and throttle, velocity over ground.
 
     Raises
     ------
     TelemetryError
-        A message that is needed is missing or comes too seldom; the text says which to record.
+        A message that is needed is missing or comes too seldom, or outputs are none of a rover's; the text says why.
     """
     velocity = next((v for v in _VELOCITIES if all(survey.rate_hz.get(v[0]) for survey in surveys)), None)
     if velocity is None:
@@ -35,11 +39,10 @@ def rover_signals(surveys: Sequence[Survey]) -> EffectSignals:
         name: Channel(name, message, (field,), scale=scale)
         for name, field in (("velocity_north", "vx"), ("velocity_east", "vy"))
     }
-    servos = {"steering": servo("steering", 1, 1500.0, 500.0), "throttle": servo("throttle", 3, 1500.0, 500.0)}
-    return effect_signals(surveys, DriveInputs.signals, servos, velocities)
+    return effect_signals(surveys, DriveInputs.signals, _ACTUATORS, velocities)
 
 
 def preview(survey: Survey) -> Preview:
     """Return what could be watched with the messages of a recording."""
     signals = rover_signals([survey])
-    return Preview(("steering", "throttle"), signals.channels, signals.rate_hz)
+    return Preview(tuple(actuator.name for actuator in _ACTUATORS), signals.channels, signals.rate_hz)

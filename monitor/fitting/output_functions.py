@@ -1,0 +1,115 @@
+"""Which servo output drives what, by the functions that an autopilot's parameters give its outputs.
+
+ArduPilot gives output n ``SERVOn_FUNCTION``. PX4 gives those of each driver ``PWM_MAIN_FUNCn`` and the like: 101 is its
+first motor, 201 the first servo, which ``CA_SV_CS0_TYPE`` says is what surface. Of several drivers the one that drives
+most of what is asked for counts, as a log's outputs are those of the one that moves most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from adapters.channels import Channel
+from adapters.errors import TelemetryError
+from monitor.fitting.survey import MAX_OUTPUTS, MOTOR_MESSAGE, Survey
+
+MOTOR, SERVO = 101, 201
+"""PX4's functions of its first motor and first servo."""
+_DRIVERS = ("PWM_MAIN_FUNC", "PWM_AUX_FUNC", "HIL_ACT_FUNC", "SIM_GZ_SV_FUNC")
+_ROTORS, _SURFACES = 12, 8
+"""``CA_ROTOR0`` to ``CA_ROTOR11`` and ``CA_SV_CS0`` to ``CA_SV_CS7``: as many as PX4's control allocation has."""
+_COMMANDED = 9
+"""First output of a servo where those of a log are made of PX4's commands to motors (1 to 8) and servos."""
+_PULSES = {True: (1000.0, 1000.0), False: (1500.0, 500.0)}
+"""Pulses of no deflection and how many more are a full one, microseconds: of what goes one way only, and of others."""
+
+
+@dataclass(frozen=True, slots=True)
+class Actuator:
+    """What moves a vehicle about one axis, and how the output that drives it is known."""
+
+    name: str
+    usual: int  # its output in ArduPilot's usual order, where no parameter tells
+    ardupilot: tuple[int, ...]  # its SERVOn_FUNCTION, the preferred ones first
+    surfaces: tuple[int, ...] = ()  # its CA_SV_CSn_TYPE, likewise
+    px4: int = 0  # PX4's function of its output, where it is no surface
+    one_way: bool = False
+
+    def channel(self, number: int, one_way: bool) -> Channel:
+        """Return an output as a share of full deflection."""
+        centre, span = _PULSES[one_way]
+        field = (f"servo{number}_raw",)
+        return Channel(self.name, MOTOR_MESSAGE, field, scale=1.0 / span, offset=-centre / span, where=(("port", 0),))
+
+
+_MIXED = Actuator("", 0, (73, 74, 77, 78, 79, 80), (5, 6, 7, 8, 13, 14))
+"""Left and right wheels, elevons, V-tails and A-tails: each acts about two axes at once."""
+
+
+def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) -> dict[str, Channel]:
+    """Return the channel of each actuator by its name.
+
+    Raises
+    ------
+    TelemetryError
+        Outputs are mixed, or nothing says which one drives an actuator: every airframe of PX4 has its own order.
+    """
+    survey = next((found for found in surveys if found.px4 and "CA_AIRFRAME" in found.parameters), surveys[0])
+    commanded = survey.px4 and survey.onboard and any(number >= _COMMANDED for number in survey.outputs)
+    functions = _functions(survey, actuators, commanded)
+    wanted = [_wanted(survey, actuator) for actuator in actuators]
+    numbers = [_output(functions, codes) for codes in wanted]
+    if survey.px4 and not functions:
+        raise TelemetryError(
+            "no parameter of PX4 in the logs says which output drives what (CA_AIRFRAME, CA_SV_CS*_TYPE, "
+            "PWM_MAIN_FUNC*; each airframe has its own order); fit a .ulg, or telemetry that holds the parameters"
+        )
+    if not survey.px4:
+        # of a link that loses parameters: what is not said of an output is as usual
+        usual = [None if actuator.usual in functions else actuator.usual for actuator in actuators]
+        numbers = [known or other for known, other in zip(numbers, usual, strict=True)]
+    if without := [actuator.name for actuator, number in zip(actuators, numbers, strict=True) if number is None]:
+        mixed = [str(n) for n, function in functions.items() if function in _wanted(survey, _MIXED)]
+        cause = f": outputs {', '.join(mixed)} act about two axes at once (elevons, a V-tail, wheels of two sides)"
+        raise TelemetryError(
+            f"by the vehicle's parameters no output of {MOTOR_MESSAGE} drives {' and '.join(without)} alone"
+            f"{cause if mixed else ''}; without such outputs it is not watched, --vehicle inertial watches the sensors"
+        )
+    return {
+        actuator.name: actuator.channel(number, actuator.one_way or (commanded and number < _COMMANDED))
+        for actuator, number in zip(actuators, numbers, strict=True)
+        if number is not None
+    }
+
+
+def _output(functions: Mapping[int, float], codes: Sequence[int]) -> int | None:
+    """Return the first output with the first of some functions that any has, None where none has."""
+    return next((number for code in codes for number, function in functions.items() if function == code), None)
+
+
+def _functions(survey: Survey, actuators: Sequence[Actuator], commanded: bool) -> Mapping[int, float]:
+    """Return the functions of outputs by number; none where no parameter gives what is asked for to one."""
+    if commanded:
+        return {n: MOTOR + n - 1 if n < _COMMANDED else SERVO + n - _COMMANDED for n in range(1, MAX_OUTPUTS + 1)}
+    names = [f"{driver}{{}}" for driver in _DRIVERS] if survey.px4 else ["SERVO{}_FUNCTION"]
+    asked = {code for actuator in (*actuators, _MIXED) for code in _wanted(survey, actuator)}
+    numbers = range(1, MAX_OUTPUTS + 1)
+    said = [{n: survey.parameters.get(name.format(n)) for n in numbers} for name in names]
+    tables = [{n: function for n, function in table.items() if function is not None} for table in said]
+    best = max(tables, key=lambda table: len(asked.intersection(table.values())))
+    return best if asked.intersection(best.values()) else {}
+
+
+def _wanted(survey: Survey, actuator: Actuator) -> Sequence[int]:
+    """Return the functions of an actuator's output, the preferred ones first."""
+    if not survey.px4:
+        return actuator.ardupilot
+    parameters = survey.parameters
+    if actuator.px4 == MOTOR and survey.is_vtol:
+        # rotors that push along the nose, where others lift
+        ahead = (abs(parameters.get(f"CA_ROTOR{k}_AX", 0.0)) for k in range(_ROTORS))
+        return [MOTOR + k for k, x in enumerate(ahead) if x > abs(parameters.get(f"CA_ROTOR{k}_AZ", -1.0))]
+    surfaces = [parameters.get(f"CA_SV_CS{k}_TYPE") for k in range(_SURFACES)]
+    found = [SERVO + k for kind in actuator.surfaces for k, its in enumerate(surfaces) if its == kind]
+    return [*found, *((actuator.px4,) if actuator.px4 and "CA_AIRFRAME" in parameters else ())]
