@@ -96,6 +96,12 @@ def test_parameters_of_ardupilot_name_the_frame_and_the_order_of_its_outputs() -
     assert other.effects.tolist() == [[1, -1, 1, -1], [-1, 1, 1, -1], [1, 1, -1, -1]]
 
 
+def test_parameters_of_old_copters_say_the_shape_of_quads_alone() -> None:
+    old = frame_of({"FRAME": 1.0}, (1, 2, 3, 4))
+    assert old is not None and old.name == "quad x"
+    assert frame_of({"FRAME": 1.0}, (1, 2, 3, 4, 5, 6)) is None
+
+
 def test_parameters_of_px4_place_the_rotors() -> None:
     places = [(1, 1, 0.05), (-1, -1, 0.05), (1, -1, -0.05), (-1, 1, -0.05)]
     parameters = {

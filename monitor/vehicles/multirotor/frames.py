@@ -122,8 +122,9 @@ def is_helicopter(parameters: Mapping[str, float]) -> bool:
 def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame | None:
     """Return the frame that an autopilot's parameters describe, None where they do not.
 
-    Those are ``CA_ROTOR*`` of PX4, ``FRAME_CLASS`` and ``FRAME_TYPE`` of ArduPilot (``Q_FRAME_*`` of its planes),
-    functions of outputs of both; ``outputs`` are the numbers of the servo outputs that are motors (s,).
+    Those are ``CA_ROTOR*`` of PX4, ``FRAME_CLASS`` and ``FRAME_TYPE`` of ArduPilot (``Q_FRAME_*`` of its planes; before
+    ArduCopter 3.5 ``FRAME``, the type alone: of its classes only quads have four motors), functions of outputs of both;
+    ``outputs`` are the numbers of the servo outputs that are motors (s,).
     """
     of = _motors(parameters)
     order = [of.get(number, number - 1) for number in outputs]
@@ -132,6 +133,8 @@ def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame |
     key = _class(parameters)
     if parameters.get("SYS_AUTOSTART", 0) // 1000 == _PX4_QUAD_X:
         key = (1, 1)
+    elif not key[0] and len(outputs) == 4 and "FRAME" in parameters:
+        key = (1, int(parameters["FRAME"]))
     standard = _STANDARD.get(key, _STANDARD[key[0], 0] if key[0] in _ONE_SHAPE else None)
     if standard is None:
         return None
