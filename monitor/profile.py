@@ -296,7 +296,6 @@ def profile_table(
     gate: GateRule,
     observers: Mapping[str, dict[str, Any]],
     identity: Identity = Identity(),  # noqa: B008 - frozen
-    system: int = 0,
     excuses: Sequence[ExcuseRule] = (),
 ) -> dict[str, Any]:
     """Return the whole of profile.toml."""
@@ -305,7 +304,7 @@ def profile_table(
         "name": name,
         "vehicle": vehicle,
         **identity.table(),
-        "system": system,
+        "system": 0,
         "stale_s": 2.0,
         "phase": asdict(gate),
         **({"excuses": excuse_tables(excuses)} if excuses else {}),

@@ -36,9 +36,3 @@ def test_a_fault_that_no_output_rate_shows_is_infeasible() -> None:
     hidden = replace(plant.actuator_faults[0], input=None, column=np.array([0.0, 0.0, 1.0, -1.0]))
     with pytest.raises(InfeasibleError, match="cannot be met"):
         design_zhang2008(replace(plant, faults=(hidden,)))
-
-
-def test_scalars_that_are_not_positive_are_refused() -> None:
-    plant = builtin_model("arm")
-    with pytest.raises(InfeasibleError, match="positive"):
-        design_zhang2008(replace(plant, faults=plant.actuator_faults), sigma=0.0)

@@ -28,12 +28,12 @@ from gains.identification.simulation import Hold, linearised
 from gains.plants.discretise import discretise
 from gains.plants.plant import Disturbance, FloatArray, Noise, Plant
 
-WINDOW_S = 2.0
+_WINDOW_S = 2.0
 """Length of a window, s. Longer ones show slow dynamics, shorter ones are driven away less by disturbances. Measured
 on the turret of the tests: 1 s and 4 s move the parameters by less than half a standard error, but for one of sixteen
 (1.3).
 """
-LONGEST_DELAY_S = 0.2
+_LONGEST_DELAY_S = 0.2
 """Largest delay tried, s: telemetry radios and filters add up to less."""
 
 _LENGTHS = (20, 200)
@@ -99,13 +99,7 @@ class OutputErrorFit:
 
 
 def identify(
-    model: FreeModel,
-    training: Sequence[Segment],
-    validation: Sequence[Segment],
-    rate_hz: float,
-    *,
-    longest_delay_s: float = LONGEST_DELAY_S,
-    window_s: float = WINDOW_S,
+    model: FreeModel, training: Sequence[Segment], validation: Sequence[Segment], rate_hz: float
 ) -> OutputErrorFit:
     """Estimate a model's free parameters, its delay and its noise.
 
@@ -119,8 +113,8 @@ def identify(
     """
     if model.example.taps != (1.0,):
         raise ModelError(f"{model.path}: 'taps': leave them out; the delay is estimated")
-    length = int(np.clip(round(window_s * rate_hz), *_LENGTHS))
-    longest = round(longest_delay_s * rate_hz) if model.example.inputs else 0
+    length = int(np.clip(round(_WINDOW_S * rate_hz), *_LENGTHS))
+    longest = round(_LONGEST_DELAY_S * rate_hz) if model.example.inputs else 0
     for segments in (training, validation):
         _check_longest(model, segments, rate_hz, length + longest)
     work = _Work(model, training, rate_hz, length, longest)

@@ -27,16 +27,20 @@ from gains.published.lmi import block_matrix, confirmed, solve_lmi
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
 from gains.synthesis.solver import gain_energy
 
+_SIGMA = 1.0
+"""Weight of e_y against e_y', 1/s, which the source leaves open."""
+_MU_Z = 1.0
+"""The form's weight of G_z: G_z is free, so that any positive one gives the same."""
+_LEARNING_RATE = 10.0
+"""How fast the fault estimate follows, 1/s."""
+_DECAY = 0.5
+"""alpha, 1/s: 0 in the form attributed to the original."""
 
-def design_zhang2008(
-    plant: Plant, sigma: float = 1.0, mu_z: float = 1.0, learning_rate: float = 10.0, decay: float = 0.5
-) -> ContinuousObserver:
+
+def design_zhang2008(plant: Plant) -> ContinuousObserver:
     """Design the observer of a continuous model with actuator faults only.
 
     It has no bound (``sqrt_mu`` None); its stability at every slope vertex is confirmed.
-
-    ``sigma`` weighs e_y against e_y', 1/s, ``mu_z`` is the form's weight of G_z, ``learning_rate`` says how fast the
-    fault estimate follows, 1/s, ``decay`` is alpha, 1/s (0 in the form attributed to the original).
 
     Errors are those of :func:`gains.published.catalogue.design_baseline`.
     """
@@ -51,8 +55,6 @@ def design_zhang2008(
     n, p, a1 = len(plant.states), len(plant.outputs), len(plant.actuator_faults)
     if not a1:
         raise InfeasibleError(f"{plant.name}: zhang2008 estimates actuator faults, and the model has none")
-    if not (sigma > 0.0 and mu_z > 0.0 and learning_rate > 0.0):
-        raise InfeasibleError(f"{plant.name}: zhang2008 needs positive sigma, mu_z and learning rate")
     C, E = plant.C, plant.E_f
     P, Y, F_z = cp.Variable((n, n), symmetric=True), cp.Variable((n, p)), cp.Variable((a1, p))
     G_z = cp.Variable((a1, a1), symmetric=True)
@@ -61,16 +63,16 @@ def design_zhang2008(
     for slopes in slope_vertices(plant):
         A = plant.A + plant.G @ slope_matrix(plant, slopes) @ plant.H
         S = P @ A - Y @ C
-        corner = -(2.0 / sigma) * (E.T @ P @ E) + G_z / (sigma * mu_z)
-        constraints.append(block_matrix([[S + S.T + 2.0 * decay * P, -(S.T @ E) / sigma], [corner]]) << 0)
+        corner = -(2.0 / _SIGMA) * (E.T @ P @ E) + G_z / (_SIGMA * _MU_Z)
+        constraints.append(block_matrix([[S + S.T + 2.0 * _DECAY * P, -(S.T @ E) / _SIGMA], [corner]]) << 0)
     why = "the slopes are too wide, or E_f' P = F_z C cannot be met (a fault does not show in the rate of an output)"
     seconds = solve_lmi(cp.Problem(cp.Minimize(energy), constraints), plant, "zhang2008", why)
     L = np.linalg.solve(P.value, Y.value)
-    L_p = learning_rate * np.linalg.solve(E.T @ P.value @ E, F_z.value)
+    L_p = _LEARNING_RATE * np.linalg.solve(E.T @ P.value @ E, F_z.value)
     x, q, y = np.split(np.eye(n + a1 + p), [n, n + a1])
     yt = y - C @ x
     fa = q + L_p @ yt
-    step = np.vstack([plant.A @ x + E @ fa + L @ yt, sigma * L_p @ yt])
+    step = np.vstack([plant.A @ x + E @ fa + L @ yt, _SIGMA * L_p @ yt])
     observer = ContinuousObserver(
         plant=plant,
         method="zhang2008",

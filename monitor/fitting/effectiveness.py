@@ -20,6 +20,8 @@ from monitor.estimation.effectiveness import EffectivenessRule, EffectivenessRun
 _SMALLEST_DOUBT = 0.02
 """Least standard deviation of a loss that model errors cause. Chosen: minutes of healthy flight do not prove an effect
 to be known better than 2 %; with the least certainty no loss below 10 % is then named."""
+_MARGIN = 1.5
+"""Of the largest healthy score. Chosen: flights to come may score half as much again as those that were fitted."""
 _SMALLEST_CERTAINTY = 5.0
 """Least number of standard errors. A normal error exceeds five once in 1.7 million independent looks."""
 _SMALLEST_NOISE = 1e-9
@@ -44,14 +46,12 @@ class HealthyRun(NamedTuple):
     full: NDArray[np.float64]
 
 
-def calibrate_effectiveness(
-    runs: Sequence[HealthyRun], rate_hz: float, rule: EffectivenessRule, margin: float = 1.5
-) -> EffectivenessRule:
+def calibrate_effectiveness(runs: Sequence[HealthyRun], rate_hz: float, rule: EffectivenessRule) -> EffectivenessRule:
     """Return the rule with noise, inflation, doubts and certainty as healthy operation shows them.
 
     The observer had settled. The doubts are what the estimates scatter more than their noise allows, each weighted with
     its information, and at least those of the given rule, for instance the standard error of the gain; the certainty is
-    the largest healthy score times ``margin``, and at least five standard errors.
+    the largest healthy score times ``_MARGIN``, and at least five standard errors.
     """
     noise, inflation = _noise(runs, rate_hz, rule.timing_s)
     plain = replace(rule, noise=noise, inflation=inflation, loss_doubt=0.0, offset_doubt=0.0)
@@ -63,7 +63,7 @@ def calibrate_effectiveness(
     )
     verdicts = [verdict for memory_s in rule.memories_s for verdict in _verdicts(runs, rate_hz, doubtful, memory_s)]
     worst = max(float(np.nanmax(verdict.score, initial=0.0)) for verdict in verdicts)
-    certainty = max(_SMALLEST_CERTAINTY, margin * worst)
+    certainty = max(_SMALLEST_CERTAINTY, _MARGIN * worst)
     return replace(doubtful, certainty=certainty, misfit=_misfit(runs, rate_hz, doubtful))
 
 

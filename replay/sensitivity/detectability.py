@@ -6,7 +6,7 @@ alarm that a healthy window raises by itself voids the trial: it says nothing ab
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import ceil, inf
 from pathlib import Path
@@ -89,7 +89,6 @@ class Detectability:
     # names of profile and recording
     profile: str
     log: str
-    onsets_ms: Mapping[str, tuple[int, ...]]  # by observer: onsets on the vehicle's clock
     window_s: tuple[float, float]  # before and after an onset
     healthy_alarms: int  # alarms of the recording as it is; windows that hold one were not used
     rows: tuple[Row, ...]
@@ -164,7 +163,6 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
     return Detectability(
         profile=profile.name,
         log=log.name,
-        onsets_ms={name: tuple(onset // 1_000_000 for onset in times_ns) for name, times_ns in onsets_ns.items()},
         window_s=(sweep.before_s, sweep.after_s),
         healthy_alarms=len(healthy.alarms_ns),
         rows=tuple(rows),

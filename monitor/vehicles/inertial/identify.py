@@ -67,13 +67,16 @@ _TILT = 0.01
 """Error of the attitude of good autopilots, rad."""
 
 
-def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, accel_rate: float = 0.1) -> Plant:
-    """Return the blocks whose signals are there as one discrete plant, with the faults that may act in it.
+_GYRO_BANDWIDTH = 0.15
+"""How fast a gyro's bias may move, as a share per second of the attitude's own random walk (rad/s): the bandwidth of
+its estimate, the same for a calm and for a noisy axis."""
+_ACCEL_RATE = 0.1
+"""How fast the bias of the vertical accelerometer may move, m/s^2 per second. The other faults are sensor faults, which
+may jump."""
 
-    ``gyro_bandwidth`` says how fast a gyro's bias may move, as a share per second of the attitude's own random walk
-    (rad/s): the bandwidth of its estimate, the same for a calm and for a noisy axis. ``accel_rate`` (m/s^2 per second)
-    says it of the bias of the vertical accelerometer. The other faults are sensor faults, which may jump.
-    """
+
+def inertial_plant(fit: InertialFit, name: str) -> Plant:
+    """Return the blocks whose signals are there as one discrete plant, with the faults that may act in it."""
     chains = chains_of(fit.inputs, fit.outputs, fit.washouts)
     vertical = [output for output in ("gps_down", "baro_down") if output in fit.outputs]
     bare = bare_positions(fit.inputs, fit.outputs)
@@ -120,7 +123,7 @@ def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, ac
         A=A,
         B=B,
         C=C,
-        faults=tuple(_faults(fit, states, B, gyro_bandwidth, accel_rate)),
+        faults=tuple(_faults(fit, states, B)),
         disturbances=tuple(
             Disturbance(f"disturbance_{state}", identity[:, k], fit.disturbance[state])
             for k, state in enumerate(states)
@@ -180,9 +183,7 @@ def smallest_faults(fit: InertialFit) -> dict[str, float]:
     return {name: size for name, size in sizes.items() if name in present}
 
 
-def _faults(
-    fit: InertialFit, states: Sequence[str], B: FloatArray, gyro_bandwidth: float, accel_rate: float
-) -> list[Fault]:
+def _faults(fit: InertialFit, states: Sequence[str], B: FloatArray) -> list[Fault]:
     rows = np.eye(len(fit.outputs))
     faults = []
 
@@ -203,13 +204,13 @@ def _faults(
         sensor(name, name, "m/s^2")
     if "acceleration_down" in fit.inputs:
         column = -B[:, fit.inputs.index("acceleration_down")]
-        faults.append(Fault("accel_z", "actuator", column, rate=accel_rate, error=0.1, unit="m/s^2"))
+        faults.append(Fault("accel_z", "actuator", column, rate=_ACCEL_RATE, error=0.1, unit="m/s^2"))
     sensor("compass", "heading", "rad")
     for axis in BODY:
         column = -B[:, fit.inputs.index(f"rate_{axis}")]
         if axis == "z" and "heading" in states:
             column = column - B[:, fit.inputs.index("heading_rate")]
-        rate = gyro_bandwidth * fit.disturbance[f"rotation_{axis}"] * fit.rate_hz
+        rate = _GYRO_BANDWIDTH * fit.disturbance[f"rotation_{axis}"] * fit.rate_hz
         faults.append(Fault(f"gyro_{axis}", "actuator", column, rate=rate, error=0.01, unit="rad/s"))
     return faults
 
