@@ -146,7 +146,9 @@ class LinkMeter:
                 # A repeated stamp is one measurement.
                 new = np.concatenate([[True], stamps[1:] != stamps[:-1]])
                 stream = self._streams.setdefault((columns.name, columns.system, columns.component), _Stream())
-                sums.append(stream.add(stamps[new], columns.received_ns[new]))
+                breaks = np.flatnonzero(np.abs(np.diff(stamps[new])) > _BROKEN_NS) + 1
+                parts = (np.split(values[new], breaks) for values in (stamps, columns.received_ns))
+                sums += [stream.add(*part) for part in zip(*parts, strict=True)]
                 newest_ns = max(newest_ns, int(columns.received_ns[-1]))
         if sums:
             self._sums.append((newest_ns, _total(sums)))

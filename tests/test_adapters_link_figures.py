@@ -76,6 +76,12 @@ def test_numbered_packets_tell_what_was_lost_in_the_last_minute() -> None:
     assert found.lost_share == 0.0
 
 
+def test_a_reboot_is_no_delay() -> None:
+    stamps = np.concatenate([np.arange(300_000, 330_000, 10), np.arange(10, 20_000, 10)])
+    received = np.concatenate([np.zeros(3_000), np.full(len(stamps) - 3_000, 330_000.0)])
+    assert figures(columns(stamps, received)).delay_s == pytest.approx(0.0, abs=1e-6)
+
+
 def test_a_reboot_repeated_and_unstamped_messages_are_no_loss() -> None:
     stamps = np.repeat(np.concatenate([np.arange(5_000, 30_000, 10), np.arange(10, 20_000, 10)]), 2)
     assert figures(columns(stamps, np.zeros(len(stamps)))).lost_share == 0.0

@@ -84,6 +84,18 @@ def test_what_is_missing_is_named_with_what_it_is_for(tmp_path: Path, capsys: py
     assert "plane" not in text
 
 
+def test_what_comes_in_a_burst_has_no_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "burst.mcap"
+    with MessageLogWriter(path) as log:
+        for number, message in enumerate(read_recording(FLIGHT)):
+            log.write(message)
+            if number < 10:
+                log.write(replace(message, name="PARAM_VALUE", fields={"param_id": f"P{number}", "param_value": 1.0}))
+    messages = ask(capsys, path)["messages"]
+    assert messages["PARAM_VALUE"] == {"count": 10, "rate_hz": None}
+    assert messages["ATTITUDE"]["rate_hz"] == pytest.approx(100.0, abs=1.0)
+
+
 def test_a_bag_of_another_kind_lists_the_fields_that_channels_can_take(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

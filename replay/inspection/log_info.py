@@ -53,6 +53,8 @@ _SILENCE_NS = 10_000_000_000
 """Between heartbeats further apart nothing says that the vehicle stayed armed. Chosen: they come once a second, and a
 poor radio loses half of them.
 """
+_BURST_S = 1.0
+"""Messages that came within less, in all, came in bursts. Chosen: the slowest streams have one in a second."""
 _INPUTS = {
     MOTOR_MESSAGE: "outputs to motors and servos",
     "ACTUATOR_CONTROL_TARGET": "torques and thrust that the controllers ask for",
@@ -197,10 +199,17 @@ def log_info(path: Path) -> dict[str, Any]:
 
 
 def _message(name: str, tally: _Tally, surveyed: Survey) -> dict[str, Any]:
-    """Return count and rate: on the vehicle's clock where the message has a time, else as it arrived."""
+    """Return count and rate: on the vehicle's clock where the message has a time, else as it arrived.
+
+    A few bursts, such as parameters at the head of a log, have none.
+    """
     count = tally.counts[name]
     rate = surveyed.rate_hz.get(name) if surveyed.counts.get(name) == count else None
-    return {"count": count, "rate_hz": tally.rates[name].hz if rate is None else rate}
+    rate = tally.rates[name].hz if rate is None else rate
+    lasts_s = 1e-9 * (tally.last_ns - (tally.first_ns or 0))
+    if rate is not None and count / rate < min(_BURST_S, 0.5 * lasts_s):
+        rate = None
+    return {"count": count, "rate_hz": rate}
 
 
 def _system(number: int, tally: _Tally) -> dict[str, Any]:
