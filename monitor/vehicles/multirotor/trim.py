@@ -59,6 +59,9 @@ with a profile of two hovering minutes 5 %."""
 _LOSS_PER_S = 0.05
 """The same, per second of a tick: between commands a second apart more happens than they tell. Measured over a radio at
 1 Hz, ticks of 2 s: a jump of GPS that the vehicle followed moved an estimate by 8 %."""
+_LONGEST_S = 2.0
+"""Seconds of a tick up to which that grows: what a vehicle does about a jump or a gust is over then, and two commands
+tell as much of the mean one however far apart they are."""
 _FEWEST_S = 20.0
 """Least healthy flight to learn the trim from, seconds."""
 _SLOWEST = 1e-6
@@ -74,7 +77,8 @@ _TELLS = 3.0
 def smallest_loss(segments: Sequence[Segment], commands_hz: float) -> float:
     """Return the smallest loss at hover that a trim learned from these flights, of commands at a rate, can show."""
     brisk = max(float(np.abs(segment.y[:, :2]).max()) for segment in segments) > _BRISK
-    return max(SMALLEST_LOSS if brisk else SMALLEST_UNSHOWN, _LOSS_PER_S * COMMANDS_PER_TICK / commands_hz)
+    tick_s = min(COMMANDS_PER_TICK / commands_hz, _LONGEST_S)
+    return max(SMALLEST_LOSS if brisk else SMALLEST_UNSHOWN, _LOSS_PER_S * tick_s)
 
 
 def slow_times(rate_hz: float) -> Times:
