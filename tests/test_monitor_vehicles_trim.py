@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from functools import cache, partial
 
 import numpy as np
@@ -11,6 +12,10 @@ from numpy.typing import NDArray
 
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
+from monitor.alarms.alarm import AlarmRule
+from monitor.estimation.excitation import ExcitationRule
+from monitor.fitting.thresholds import Calibrated
+from monitor.vehicles.multirotor.fit import _check_watched, _smallest
 from monitor.vehicles.multirotor.frames import Frame, frame_of, lifting_outputs, standard_frames
 from monitor.vehicles.multirotor.identify import USUAL, MultirotorFit, multirotor_plant
 from monitor.vehicles.multirotor.trim import TRIM_HZ, choose_frame, identify_trim, slow_times, smallest_loss
@@ -242,5 +247,20 @@ def test_too_short_a_flight_is_refused() -> None:
 
 def test_the_slower_the_commands_the_larger_the_smallest_loss_and_the_longer_evidence_has_to_last() -> None:
     brisk, hover = (slow(*flight(60.0, turns=turns), 5.0, 10.0) for turns in (1.5, 0.0))
-    assert smallest_loss([brisk], 5.0) < smallest_loss([hover], 5.0) < smallest_loss([hover], 0.2)
+    assert smallest_loss([brisk], 5.0) < smallest_loss([hover], 5.0) < smallest_loss([hover], 1.0)
     assert slow_times(0.5).raise_s == 10 * slow_times(5.0).raise_s
+
+
+def test_commands_that_are_further_apart_than_what_happens_between_them_tell_as_much_each() -> None:
+    hover = slow(*flight(60.0), 5.0, 10.0)
+    assert smallest_loss([hover], 0.2) == smallest_loss([hover], 1.0) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("at_rest", "refused"), [(4.0, False), (36.0, True)])
+def test_motors_of_which_not_even_a_total_loss_would_stand_out_are_refused(at_rest: float, refused: bool) -> None:
+    rule = AlarmRule("motors", "motor1", "actuator", "fraction of full command", 0.1, 0.05, 0.5, 0.1, 0.1)
+    errors = ExcitationRule(("roll_rate",), at_rest, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
+    smallest = _smallest({"motor1": 0.5}, [Calibrated(rule, None)], errors)
+    assert smallest["motor1"][0] == pytest.approx(0.1 * np.sqrt(at_rest))
+    with pytest.raises(ModelError, match="above 120 % of its command") if refused else nullcontext():
+        _check_watched({"motor1": 0.5}, smallest)

@@ -282,7 +282,8 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     changes, nats = _changes(plant, channels, identified)
     lasting = None if nats is not None else _lasting(bare.profile(), gate, identified, watched)
     alarms = _alarms(drive.observer, channels, evidence, watched, identified, rule.score_floor, nats, lasting)
-    _check_watched(watched, alarms)
+    smallest = _smallest(watched, alarms, bare.excitation)
+    _check_watched(watched, smallest)
     commands = motor_commands(surveys)
     ranges = (
         {}
@@ -309,7 +310,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
             *([range_text(commands, surveys)] if ranges else []),
             identified.line,
             *([] if drive.supply is None else [_supply_text(drive.supply)]),
-            *_lines(watched, alarms, bare.excitation),
+            *_lines(watched, smallest),
         ),
         details=identified.details,
         comparison=identified.comparison,
@@ -341,10 +342,18 @@ def _supply_text(supply: SupplyRule) -> str:
     )
 
 
-def _check_watched(watched: Mapping[str, float], alarms: Sequence[Calibrated]) -> None:
-    """Make sure that some motor's loss would be an alarm; ``watched`` are their commands in hover, by channel."""
+def _smallest(
+    watched: Mapping[str, float], alarms: Sequence[Calibrated], excitation: ExcitationRule | None
+) -> dict[str, tuple[float, str]]:
+    """Return the smallest loss of each motor that is an alarm, with what errors at rest ask for, and its unit."""
+    scale = math.sqrt(max(1.0, excitation.constant if excitation is not None else 0.0))
     rules = {calibrated.rule.channel: calibrated.rule for calibrated in alarms}
-    least = min(rules[motor].threshold / command for motor, command in watched.items())
+    return {motor: (scale * rules[motor].threshold, rules[motor].unit) for motor in watched}
+
+
+def _check_watched(watched: Mapping[str, float], smallest: Mapping[str, tuple[float, str]]) -> None:
+    """Make sure that some motor's loss would be an alarm; ``watched`` are their commands in hover, by channel."""
+    least = min(smallest[motor][0] / command for motor, command in watched.items())
     if least >= 1.0:
         raise ModelError(
             f"no motor could be watched: only losses above {100 * least:.0f} % of its command would stand out; these "
@@ -607,13 +616,8 @@ def _details(motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift)
     )
 
 
-def _lines(
-    watched: Mapping[str, float], alarms: Sequence[Calibrated], excitation: ExcitationRule | None
-) -> tuple[str, ...]:
-    # with what errors at rest ask for
-    scale = math.sqrt(max(1.0, excitation.constant if excitation is not None else 0.0))
-    sizes = {found.rule.channel: (scale * found.rule.threshold, found.rule.unit) for found in alarms}
+def _lines(watched: Mapping[str, float], smallest: Mapping[str, tuple[float, str]]) -> tuple[str, ...]:
     return tuple(
-        f"{motor} alarm from {size_text(*sizes[motor], command)} (hovers at {command:.2f})"
+        f"{motor} alarm from {size_text(*smallest[motor], command)} (hovers at {command:.2f})"
         for motor, command in watched.items()
     )
