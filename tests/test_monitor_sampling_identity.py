@@ -63,6 +63,18 @@ def test_an_ardupilot_log_says_its_frame_by_parameters() -> None:
     assert said(*head, parm("FRAME_CLASS", 15.0)) == Identity(autopilot="ardupilotmega")
 
 
+def test_logs_of_old_copters_say_their_frame_in_words() -> None:
+    head = [heartbeat(0), firmware("APM:Copter V3.4.4-rc1 (65ffe9d7)"), parm("FRAME", 1.0)]
+    assert said(*head, firmware("Frame: QUAD")) == Identity("quadrotor", "ardupilotmega", "", 4)
+    assert said(*head, firmware("Frame: OCTA_QUAD")).vehicle_type == ""
+    assert said(*head, firmware("Frame:")) == Identity(autopilot="ardupilotmega")
+    assert said(firmware("ArduCopter V4.5.1"), parm("FRAME_CLASS", 2.0), firmware("Frame: QUAD/X")).motors == 6
+
+
+def test_a_submarine_says_so() -> None:
+    assert said(firmware("ArduSub V4.1.0 (f2af3c7e)")) == Identity("submarine")
+
+
 def test_frame_classes_of_rovers_and_planes_are_none_of_copters() -> None:
     assert said(firmware("ArduRover V4.5.1"), parm("FRAME_CLASS", 1.0)) == Identity("ground rover")
     assert said(firmware("ArduRover V4.5.1"), parm("FRAME_CLASS", 2.0)) == Identity("surface boat")

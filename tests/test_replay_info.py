@@ -379,3 +379,14 @@ def test_a_log_whose_heartbeat_says_no_type_has_that_of_its_firmware_and_paramet
     path = tmp_path / "a.bin"
     path.write_bytes(log.data)
     assert "system 1: hexarotor of ardupilotmega" in told(capsys, path)
+
+
+def test_of_a_submarine_no_kind_but_its_sensors_is_offered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "dive.mcap"
+    with MessageLogWriter(path) as log:
+        for message in read_recording(FLIGHT):
+            is_own = message.name == "HEARTBEAT" and message.system == 1
+            log.write(replace(message, fields={**message.fields, "type": 12}) if is_own else message)
+    assert ask(capsys, path)["vehicle"]["likely"] == "inertial"
+    text = told(capsys, path)
+    assert "  multirotor" not in text and "  inertial at " in text

@@ -30,8 +30,13 @@ _COPTERS: Mapping[int, tuple[str, str, int]] = MappingProxyType(
 _SHAPES = {0: "plus", 1: "x", 2: "v", 3: "h", 4: "v-tail", 5: "a-tail", 12: "betaflight-x", 13: "dji-x", 14: "cw-x"}
 """ArduCopter's FRAME_TYPE (AP_Motors_Class.h); it numbers and places the motors of a class."""
 _SHAPED = ("quad", "hexa", "octa", "octaquad", "y6", "dodecahexa", "deca")
-_FIRMWARE = {"arducopter": "copter", "arduplane": "plane", "ardurover": "rover", "rover": "rover", "apmrover2": "rover"}
-"""First word of what ArduPilot writes into the head of a log, and what it flies or drives."""
+_FIRMWARE = {
+    **dict.fromkeys(("arducopter", "apm:copter"), "copter"),
+    **dict.fromkeys(("arduplane", "apm:plane"), "plane"),
+    **dict.fromkeys(("ardurover", "rover", "apmrover2", "apm:rover"), "rover"),
+    "ardusub": "submarine",
+}
+"""First word of what ArduPilot writes into the head of a log, and what it flies, drives or dives."""
 _ROTOR_COUNT, _PX4_TYPE = "CA_ROTOR_COUNT", "MAV_TYPE"
 _PARAMETERS = frozenset({"FRAME_CLASS", "FRAME_TYPE", "Q_ENABLE", _ROTOR_COUNT, _PX4_TYPE})
 _BOAT = 2
@@ -90,7 +95,7 @@ class Reports:
     # of the autopilot's newest HEARTBEAT that is not "generic" (0)
     type: int = 0
     autopilot: int = 0
-    firmware: str = ""  # ``copter``, ``plane`` or ``rover``, from the head of an ArduPilot log
+    firmware: str = ""  # a value of :data:`_FIRMWARE`, from the head of an ArduPilot log
     parameters: Mapping[str, int] = field(default_factory=dict)  # parameters that say which frame it has
 
     # names of the messages that are looked at: heartbeats, and parameters on a link or in either autopilot's log
@@ -130,7 +135,11 @@ class Reports:
         return replace(self, type=kind or self.type, autopilot=autopilot or self.autopilot)
 
     def _after_text(self, text: Any) -> Reports:
-        words = text.split() if isinstance(text, str) else ()
+        words = text.split() if isinstance(text, str) else []
+        if words[:1] == ["Frame:"] and "FRAME_CLASS" not in self.parameters:
+            # of ArduCopter before 3.5, which has no such parameter
+            of = {name.upper(): number for number, (name, *_) in _COPTERS.items()}
+            return self._with(("FRAME_CLASS", of.get("".join(words[1:2]).partition("/")[0], 0)))
         firmware = _FIRMWARE.get(words[0].lower(), "") if len(words) > 1 and words[1][:1] in ("V", "v") else ""
         return self if not firmware or firmware == self.firmware else replace(self, firmware=firmware)
 
@@ -154,7 +163,7 @@ class Reports:
             return "" if self.parameters.get("Q_ENABLE", 0) else "fixed wing"
         if self.firmware == "rover":
             return "surface boat" if self.parameters.get("FRAME_CLASS") == _BOAT else "ground rover"
-        return vehicle_type(self.parameters.get(_PX4_TYPE))
+        return self.firmware or vehicle_type(self.parameters.get(_PX4_TYPE))
 
     def _frame(self) -> tuple[str, int]:
         """Return name of the frame and number of motors."""

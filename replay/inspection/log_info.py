@@ -243,10 +243,13 @@ def _fits(surveyed: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[st
                     f"{name} at {_FIELD_HZ:g} Hz: it comes at {rate_hz:.3g} Hz, so that a compass shows faults of tens "
                     "of degrees only" + " (SDLOG_PROFILE 2065 logs it at 14 Hz)" * surveyed.px4
                 )
-    likely = likely_kinds(KINDS, tally.said(tally.watched).identity.vehicle_type)
+    vehicle_type = tally.said(tally.watched).identity.vehicle_type
+    likely = [kind.name for kind in likely_kinds(KINDS, vehicle_type)]
+    # a submarine has motors, of which no kind of vehicle knows what they do
+    likely += ["inertial"] if vehicle_type else []
     return {
         "system": tally.watched,
-        "likely": likely[0].name if likely else None,
+        "likely": likely[0] if likely else None,
         "never_armed": surveyed.never_armed,
         "inputs": {
             name: {"holds": holds, "rate_hz": rate_hz, "from": topics.get(name)}
