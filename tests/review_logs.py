@@ -47,6 +47,8 @@ class Flight:
     altered_m: Callable[[float], float] = lambda _: 0.0  # between the estimator and the controller; ArduPilot alone
     ratio: Callable[[float], float] = lambda _: 0.1
     resets: Callable[[float], int] = lambda _: 1
+    reset_by_m: float = 0.0  # how far north each reset puts the position
+    yaw_deg: Callable[[float], float] = lambda _: 0.0
     vibration: Callable[[float], float] = lambda _: 2.0
     clipped: Callable[[float], int] = lambda _: 0
     failsafe: Callable[[float], bool] = lambda _: False
@@ -68,7 +70,8 @@ _TOPICS = {
     "vehicle_attitude": "uint64_t timestamp;float[4] q",
     "vehicle_attitude_setpoint": "uint64_t timestamp;float[4] q_d",
     "vehicle_air_data": "uint64_t timestamp;float baro_alt_meter",
-    "vehicle_local_position": "uint64_t timestamp;float z;float vz;uint8_t xy_reset_counter;uint8_t z_reset_counter;"
+    "vehicle_local_position": "uint64_t timestamp;float z;float vz;float[2] delta_xy;float delta_z;"
+    "float[2] delta_vxy;float delta_vz;uint8_t xy_reset_counter;uint8_t z_reset_counter;"
     "uint8_t vxy_reset_counter;uint8_t vz_reset_counter",
     "vehicle_local_position_setpoint": "uint64_t timestamp;float vz",
     "battery_status": "uint64_t timestamp;float voltage_v;float current_a;bool connected",
@@ -103,9 +106,9 @@ def px4_log(path: Path, flight: Flight) -> Path:
     return log.write(path)
 
 
-def _turned(angle_deg: float) -> list[float]:
-    half = radians(angle_deg) / 2
-    return [cos(half), sin(half), 0.0, 0.0]
+def _turned(roll_deg: float, yaw_deg: float = 0.0) -> list[float]:
+    roll, yaw = radians(roll_deg) / 2, radians(yaw_deg) / 2
+    return [cos(roll) * cos(yaw), sin(roll) * cos(yaw), sin(roll) * sin(yaw), cos(roll) * sin(yaw)]
 
 
 def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
@@ -120,12 +123,16 @@ def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
         "vehicle_land_detected": {"landed": flight.landed(at)},
         "actuator_armed": {"manual_lockdown": flight.killed(at)},
         "actuator_motors": {"control": flight.motors(at) + [float("nan")] * 8},
-        "vehicle_attitude": {"q": _turned(flight.tilt_deg(at))},
+        "vehicle_attitude": {"q": _turned(flight.tilt_deg(at), flight.yaw_deg(at))},
         "vehicle_attitude_setpoint": {"q_d": _turned(flight.tilt_wanted_deg(at))},
         "vehicle_air_data": {"baro_alt_meter": 200.0 + flight.height(at)},
         "vehicle_local_position": {
             "z": -flight.height(at),
             "xy_reset_counter": count,
+            "delta_xy": [flight.reset_by_m, 0.0],
+            "delta_z": 0.0,
+            "delta_vxy": [0.0, 0.0],
+            "delta_vz": 0.0,
             "z_reset_counter": 1,
             "vxy_reset_counter": 1,
             "vz_reset_counter": 1,
@@ -229,6 +236,8 @@ def telemetry(path: Path, flight: Flight, period_s: float = 0.25, first_output: 
             (at, mavlink.MAVLink_scaled_pressure_message(round(1000 * at), 1013.25 - metres / 8.43, 0.0, 2000)),
             (at, mavlink.MAVLink_servo_output_raw_message(round(1e6 * at), 0, *pulses)),
         ]
+    for at, text in flight.texts:
+        packets.append((at, mavlink.MAVLink_statustext_message(2, text.encode())))
     written = ((round(1e6 * at) + 1_795_251_917_000_000).to_bytes(8) + said.pack(packer) for at, said in packets)
     path.write_bytes(b"".join(written))
     return path

@@ -90,7 +90,7 @@ CASES: dict[str, Flight] = {
     "landing_detected_in_air": LANDED_THERE,
     "motors_stopped_in_air": Flight(height=fallen, motors=stopped, killed=lambda at: at >= FALLS_S - 0.1),
     "motor_command_stopped": Flight(motors=one_motor(2, 0.0, 30.0, 33.0)),
-    "motor_at_limit": Flight(motors=one_motor(3, 1.0, 30.0, 32.0)),
+    "motor_at_limit": Flight(motors=one_motor(3, 0.95, 30.0, 32.0)),
     "esc_stopped": Flight(rpm=speeds(4)),
     "battery_low": Flight(volts=lambda at: 15.4 - 0.07 * at),
     "gps_stuck": Flight(north_m=lambda at: 2.0 * (30.0 if 30.0 <= at < 33.0 else at)),
@@ -121,6 +121,10 @@ LOOK_ALIKES: dict[str, Flight] = {
         motors=one_motor(4, 1.0, 30.5, 33.0),
         tilt_deg=between(30.2, 33.2, 45.0, 0.0),
         tilt_wanted_deg=between(30.0, 33.0, 45.0, 0.0),
+    ),
+    "a dash at little tilt": Flight(motors=one_motor(4, 1.0, 30.5, 33.0), north_m=lambda at: 20.0 * at),
+    "a motor at its end in a spin": Flight(
+        motors=one_motor(4, 1.0, 30.5, 33.0), yaw_deg=lambda at: 200.0 * min(max(at - 30.0, 0.0), 3.0)
     ),
     "no battery connected": Flight(volts=lambda _: 0.05, connected=False),
     "cells of lithium ion": Flight(
@@ -229,6 +233,12 @@ def test_what_only_looks_wrong_is_no_finding(name: str, tmp_path: Path) -> None:
     assert review.sentence.startswith("Nothing wrong found in ")
 
 
+def test_a_reset_of_the_estimator_says_how_far_it_went(tmp_path: Path) -> None:
+    flight = Flight(resets=lambda at: 1 + (at > 30.0), reset_by_m=7.25)
+    review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
+    assert "set its position anew 1 time in flight, by 7.2 m" in review.sentence
+
+
 def test_a_flood_of_commands_is_a_finding(tmp_path: Path) -> None:
     flight = Flight(commands=[(1.0, 190, 400, 1.0), *((30.0, 190, 512, 0.0) for _ in range(60))])
     review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
@@ -306,12 +316,18 @@ def watched(
     vehicle: str = "multirotor",
     then: Sequence[float] = (0.5,) * 4,
     gps: Sequence[int] = (3, 12),
+    fast_m_s: Sequence[float] = (0.0, 0.0),
 ) -> LogReview:
-    """Return the verdict on a flight of which a learned profile speaks; ``then`` and ``gps`` are so from 25 s on."""
+    """Return the verdict on a flight of which a learned profile speaks; ``then`` and ``gps`` are so from 25 s on.
+
+    ``fast_m_s`` says how fast it flies north before and after 20 s.
+    """
     motors = LogSignal(np.arange(600) / 10, np.full((600, 4), 0.5), ("a", "b", "c", "d"), "", "motors")
     motors.values[250:] = then
     fixes = LogSignal(motors.time_s, np.tile([3.0, 12.0], (600, 1)), ("fix", "satellites"), "", "gps")
     fixes.values[250:] = gps
+    way = np.cumsum(np.where(motors.time_s < 20.0, *fast_m_s)) / 10
+    position = LogSignal(motors.time_s, np.stack([way, 0.0 * way], axis=1), ("north", "east"), "m", "gps")
     force = LogSignal(motors.time_s, np.full((600, 3), -9.81), ("x", "y", "z"), "m/s2", "accelerometer")
     attitude = LogSignal(np.arange(600) / 10, np.zeros((600, 3)), ("roll", "pitch", "yaw"), "", "attitude")
     attitude.values[300:320, 0] = 150.0 * lost
@@ -322,7 +338,7 @@ def watched(
         duration_s=60.0,
         armed=((0.0, 60.0),),
         flight=((1.0, 58.0),),
-        signals={"motors": motors, "attitude": attitude, "acceleration": force, "gps": fixes},
+        signals={"motors": motors, "attitude": attitude, "acceleration": force, "gps": fixes, "position": position},
         watch=LearnedWatch(20.0, alarms),
     )
     return judged(Path("flight.ulg"), facts)
@@ -388,6 +404,22 @@ def test_motors_that_lift_as_before_lack_nothing(then: Sequence[float], weight: 
     (found,) = watched(replace(LEARNED["actuator_effect"], end_s=60.0, size=0.15), then=then).findings
     assert found.judgement.weight == weight
     assert any("together lift" in line for line in found.counter) is (weight == "information")
+
+
+@pytest.mark.parametrize(
+    ("fast_m_s", "weight"), [((5.0, 14.0), "warning"), ((5.0, 22.0), "information"), ((22.0, 22.0), "warning")]
+)
+def test_motors_are_not_judged_at_speeds_that_the_begin_did_not_have(fast_m_s: Sequence[float], weight: str) -> None:
+    (found,) = watched(LEARNED["actuator_effect"], fast_m_s=fast_m_s).findings
+    assert found.judgement.weight == weight
+    assert any("22 m/s" in line for line in found.counter) is (weight == "information")
+
+
+@pytest.mark.parametrize(("fast_m_s", "weight"), [(5.0, "warning"), (25.0, "information")])
+def test_a_receiver_is_off_by_what_it_is_late(fast_m_s: float, weight: str) -> None:
+    alarm = replace(LEARNED["sensor_effect"], channel="gps_north", size=4.0, share=9.0)
+    (found,) = watched(alarm, fast_m_s=(0.0, fast_m_s)).findings
+    assert found.judgement.weight == weight
 
 
 @pytest.mark.parametrize(("satellites", "weight"), [(9, "warning"), (5, "information")])
@@ -606,6 +638,34 @@ def test_a_guessed_number_of_cells_is_no_finding(tmp_path: Path) -> None:
     review = rules_on(px4_log(tmp_path / "flight.ulg", replace(CASES["battery_low"], parameters={})))
     assert [one.rule.name for one in review.findings] == ["battery_low"]
     assert not review.wrong
+
+
+@pytest.mark.parametrize(
+    ("at", "text", "said"),
+    [
+        (30.0, "Battery Failsafe", True),
+        (30.0, "Throttle failsafe off", False),
+        (30.0, "PreArm: Radio failsafe on", False),
+        (LANDING_S + 2.0, "Crash: Disarming", True),
+        (LANDING_S + 2.0, "Battery Failsafe", False),
+    ],
+)
+def test_what_the_autopilot_announces_by_text_is_a_reaction(at: float, text: str, said: bool, tmp_path: Path) -> None:
+    review = rules_on(telemetry(tmp_path / "flight.tlog", Flight(texts=[(at, text)])))
+    assert names(review) == ["failsafe"] * said
+    assert (text in review.sentence) is said
+
+
+def test_a_stamp_of_another_year_makes_no_flight_of_years(tmp_path: Path) -> None:
+    path = telemetry(tmp_path / "flight.tlog", Flight())
+    packets = bytearray(path.read_bytes())
+    # the stamp of the last tick
+    last = packets.rindex((1_795_251_917_000_000 + 59_750_000).to_bytes(8))
+    packets[last : last + 8] = (1_200_000_000_000_000).to_bytes(8)
+    path.write_bytes(packets)
+    review = rules_on(path)
+    assert review.facts.duration_s == pytest.approx(60.0, abs=1.0)
+    assert "1 records are stamped a day and more from these: left out" in [said for _, _, said in review.timeline()]
 
 
 def test_an_error_of_ardupilot_is_a_reaction(tmp_path: Path) -> None:

@@ -195,6 +195,7 @@ SIGNALS: Mapping[str, str] = {
     "position_apart": "how far the position that the controller flies by is from the estimator's",
     "ratios": "innovations over what the estimator admits (1: refused)",
     "resets": "how often the estimator set itself anew",
+    "reset_steps": "by how much it did so last, in position, height, velocity and climb",
     "vibration": "level of vibration",
     "watch": "a profile learned from the flight's own begin",
     "clipping": "samples in which an accelerometer was at its end",
@@ -287,13 +288,11 @@ class LogRecords:
         self._columns: dict[tuple[str, int], list[tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]]] = {}
         self.rows: dict[tuple[str, int], list[tuple[int, int, Mapping[str, Any]]]] = {}
         self.parameters: dict[str, float] = {}
-        times: list[int] = []
         for batch in batches:
             for group in batch.columns:
                 if not len(group.position):
                     continue
                 self._columns.setdefault((group.name, group.system), []).append((group.received_ns, group.fields))
-                times += int(group.received_ns[0]), int(group.received_ns[-1])
                 if group.name in ROWS:
                     self.rows.setdefault((group.name, group.system), []).extend(
                         (int(at), group.component, {key: column[row].tolist() for key, column in group.fields.items()})
@@ -305,9 +304,24 @@ class LogRecords:
                     continue
                 entry = message.received_ns, message.component, message.fields
                 self.rows.setdefault((message.name, message.system), []).append(entry)
-                times.append(message.received_ns)
-        self.first_ns = min(times, default=0)
-        self.duration_s = (max(times, default=0) - self.first_ns) / 1e9
+        columns = (times_ns for parts in self._columns.values() for times_ns, _ in parts)
+        rows = (np.array([at for at, *_ in entries], np.int64) for entries in self.rows.values())
+        times = np.sort(np.concatenate([np.empty(0, np.int64), *columns, *rows]))
+        together = max(np.split(times, np.flatnonzero(np.diff(times) > _APART_NS) + 1), key=len)
+        self.strays = len(times) - len(together)
+        self.first_ns, last_ns = (int(together[0]), int(together[-1])) if len(together) else (0, 0)
+        self.duration_s = (last_ns - self.first_ns) / 1e9
+        if self.strays:
+            self._keep(self.first_ns, last_ns)
+
+    def _keep(self, first_ns: int, last_ns: int) -> None:
+        """Leave out what is stamped before a time or after another."""
+        for entries in self.rows.values():
+            entries[:] = [entry for entry in entries if first_ns <= entry[0] <= last_ns]
+        for parts in self._columns.values():
+            for k, (times_ns, fields) in enumerate(parts):
+                kept = (times_ns >= first_ns) & (times_ns <= last_ns)
+                parts[k] = times_ns[kept], {name: column[kept] for name, column in fields.items()}
 
     def time_s(self, time_ns: int) -> float:
         """Return a time of arrival as seconds since the log's begin."""
@@ -386,6 +400,9 @@ def overlap(first: Iterable[tuple[float, float]], second: Sequence[tuple[float, 
     return [(start, end) for start, end in parts if start < end]
 
 
+_APART_NS = 86_400_000_000_000
+"""A day: no vehicle flies as long unheard. A stamp that is as far from the others is damaged, of a clock that was set,
+or of another day's recording in the same file."""
 _FEWEST_ROTORS = 3
 """Rotors of a multirotor, at least: of fewer outputs that are alike nothing follows."""
 _ALIKE = 0.005

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -34,9 +35,12 @@ TOPICS = frozenset(
 # MAV_TYPE, MAV_AUTOPILOT, MAV_MODE_FLAG and MAV_LANDED_STATE of MAVLink's common definitions
 _ROTORS = {2: 4, 13: 6, 14: 8, 29: 12}
 _NO_AUTOPILOT, _ARMED, _ON_GROUND = 8, 128, 1
-_KINDS = {1: "plane", 10: "rover", 11: "rover"}
-"""Of MAV_TYPE, beside multirotors: fixed wing, ground rover, boat."""
+_KINDS = {1: "plane", 10: "rover", 11: "rover", 12: "submarine"}
+"""Of MAV_TYPE, beside multirotors: fixed wing, ground rover, boat, submarine."""
 _AUTOPILOTS = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
+_ANNOUNCED = re.compile(r"failsafe|^crash|potential thrust loss|^parachute: released", re.IGNORECASE)
+_CALLED_OFF = re.compile(r"^(pre)?arm|preflight|clear|recover|resolve|deactivat|disabl|not |\boff\b", re.IGNORECASE)
+"""Texts by which autopilots say that they act on what went wrong, and those that say that it is over, or was not."""
 _MILLI = 1e-3
 _HECTOPASCAL_M = 8.43
 """Metres of height of a hectopascal at sea level: R T / (g M p) at 15 degrees and 1013.25 hPa."""
@@ -117,11 +121,17 @@ def _vehicle(records: LogRecords) -> tuple[int, int, int]:
     return 0, 0, 0
 
 
-def _statements(records: LogRecords, system: int, kind: int, autopilot: int, modes: LogSignal) -> Iterator[Statement]:
+def _statements(
+    records: LogRecords, system: int, vehicle: int, autopilot: int, modes: LogSignal
+) -> Iterator[Statement]:
+    if records.strays:
+        yield Statement(0.0, "stamps", f"{records.strays} records are stamped a day and more from these: left out")
     for at, row in records.listed("STATUSTEXT", system):
-        yield Statement(at, "text", str(row.get("text", "")).strip(), int(row.get("severity", 6)))
+        text = str(row.get("text", "")).strip()
+        kind = "failsafe" if _ANNOUNCED.search(text) and not _CALLED_OFF.search(text) else "text"
+        yield Statement(at, kind, text, 1 if kind == "failsafe" else int(row.get("severity", 6)))
     for at, value in replace(modes, values=modes.values[:, 1:2]).changes():
-        yield Statement(at, "mode", f"mode {mode_name(autopilot, kind, _ARMED, int(value)) or int(value)}")
+        yield Statement(at, "mode", f"mode {mode_name(autopilot, vehicle, _ARMED, int(value)) or int(value)}")
 
 
 def _commands(records: LogRecords, vehicle: int) -> Iterator[CommandSent]:

@@ -84,6 +84,8 @@ def px4_facts(records: LogRecords) -> LogFacts:
     counters = [f"{name}_reset_counter" for name in ("xy", "z", "vxy", "vz")]
     counted = get("vehicle_local_position", counters, ["position", "height", "velocity", "climb"], "")
     signals["resets"] = counted.above_begin()
+    steps = ["delta_xy[0]", "delta_xy[1]", "delta_z", "delta_vxy[0]", "delta_vxy[1]", "delta_vz"]
+    signals["reset_steps"] = get("vehicle_local_position", steps, steps, "m, m/s")
     signals["vibration"] = get("vehicle_imu_status", ["accel_vibration_metric"], ["vibration"], "m/s2")
     clipping = get("vehicle_imu_status", [f"accel_clipping[{k}]" for k in range(3)], ["x", "y", "z"], "samples")
     signals["clipping"] = clipping.each_sample("clipped", np.sum)

@@ -13,16 +13,24 @@ from replay.review.findings.rule import Judgement, Rule
 _AFTER_S = 5.0
 """Seconds after take-off in which a reset is usual: yaw and height are aligned anew when the ground no longer disturbs
 the compass and the barometer (PX4 does so from 1.5 m on)."""
+_STEPS = {"position": (slice(0, 2), "m"), "height": (slice(2, 3), "m")}
+_STEPS |= {"velocity": (slice(3, 5), "m/s"), "climb": (slice(5, 6), "m/s")}
+"""Of what is counted: its columns of the steps, and their unit."""
 
 
 def _judge(facts: LogFacts, resets: LogSignal) -> Iterator[Judgement]:
+    steps = facts.signal("reset_steps")
     judged = in_control(facts, resets.time_s) & (resets.time_s > facts.flight[0][0] + _AFTER_S)
     for k, name in enumerate(resets.names):
-        late = resets.time_s[1:][(np.diff(resets.values[:, k]) > 0) & judged[1:]].tolist()
-        if late:
+        times_s = resets.time_s[1:][(np.diff(resets.values[:, k]) > 0) & judged[1:]]
+        if late := times_s.tolist():
+            columns, unit = _STEPS[name]
+            largest = np.nanmax(np.linalg.norm(steps.at(times_s)[:, columns], axis=1)) if steps else np.nan
+            by = "by up to " if len(late) > 1 else "by "
             yield Judgement(
                 span=(late[0], late[-1]),
-                text=f"the estimator set its {name} anew {len(late)} time{'s' * (len(late) > 1)} in flight",
+                text=f"the estimator set its {name} anew {len(late)} time{'s' * (len(late) > 1)} in flight"
+                + (f", {by}{largest:.2g} {unit}" if np.isfinite(largest) else ""),
                 evidence=(f"{resets.origin}: counter of {name} from {late[0]:.1f} s on",),
                 weight="warning" if name in ("position", "height") else "information",
             )

@@ -6,18 +6,23 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts
+from replay.review.facts.log_facts import LogFacts, inside
 from replay.review.findings.loss_of_control import lost_s
 from replay.review.findings.rule import Judgement, Rule
 
 _LATER_S = 1.0
 """Chosen: the slowest statements of state come once a second; a failsafe that late is of the fall itself."""
+_CHECKED_S = 5.0
+"""Chosen: a crash check waits for 2 s of a vehicle that lies (ArduPilot's CRASH_CHECK_TRIGGER_SEC), and its landing
+detector as long to take the flight for ended."""
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     end_s = lost_s(facts) + _LATER_S
     said = [one for one in facts.statements if one.kind == "failsafe" and one.level and one.time_s < end_s]
-    flown = facts.in_flight(np.array([one.time_s for one in said]))
+    times_s = np.array([one.time_s for one in said])
+    crashed = np.array(["crash" in one.text.lower() for one in said], bool)
+    flown = facts.in_flight(times_s) | crashed & inside(times_s, [(end, end + _CHECKED_S) for _, end in facts.flight])
     for text in dict.fromkeys(one.text for one in said):
         times = [one.time_s for one, flies in zip(said, flown.tolist(), strict=True) if flies and one.text == text]
         if not times:
@@ -37,7 +42,7 @@ RULE = Rule(
     evidence="its own statement in flight",
     counter=(
         "it says what the autopilot saw, which need not be the cause: a finding before it comes first",
-        "those on the ground and after control was lost are left out",
+        "those on the ground and after control was lost are left out, but for a crash that is seen once it lies there",
     ),
     needs=(),
     plots=("attitude", "ratios", "battery"),

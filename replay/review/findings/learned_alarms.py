@@ -8,7 +8,7 @@ from math import isnan, nan
 import numpy as np
 
 from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts
-from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.loss_of_control import FAST_M_S, lost_s, speed
 from replay.review.findings.rule import Judgement, UnjudgedError
 
 _LEAST_S = 5.0
@@ -23,6 +23,11 @@ _POSITIONS = ("gps_north", "gps_east", "gps_down")
 _ACCURACY_M = 2.5
 """Metres by which half of a receiver's fixes are off (data sheet of u-blox's M8): less is no fault of it. Measured: in
 8 m/s of gusty wind after a calm begin a healthy flight's came to 0.75 m."""
+_DELAY_S = 0.11
+"""By how much two receivers may be late otherwise (ArduPilot's EK3_GPS_DELAY: 0.11 s of a u-blox M8, 0.22 s of one that
+it does not know): a delay is learned where the vehicle moves, and hardly in a hover. Times the speed it is metres."""
+_FASTER = 1.25
+"""Of speed: drag goes with its square, and is half as much again."""
 _LANDING_S = 3.0
 """Seconds ahead of touch-down that are left out: the air that rotors throw at the ground comes back."""
 _CARRIED_S = 5.0
@@ -63,9 +68,14 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
         staying = [alarm for alarm in every if _stays(alarm, facts, end_s)]
         own = staying or every
         largest = max(own, key=lambda alarm: alarm.share)
-        accurate = channel in _POSITIONS and largest.size < _ACCURACY_M
         until_s = _until_s(largest, facts, end_s)
-        doubts = (*_still_carried(facts, largest, begin_s, until_s), *_few_satellites(facts, largest, until_s))
+        fastest = np.max(speed(facts).during(largest.start_s, until_s).only, initial=0.0)
+        accurate = channel in _POSITIONS and largest.size < _ACCURACY_M + _DELAY_S * fastest
+        doubts = (
+            *_still_carried(facts, largest, begin_s, until_s),
+            *_few_satellites(facts, largest, until_s),
+            *_faster(facts, largest),
+        )
         enough = bool(staying) and largest.share >= _least_share(channels, largest) and not (accurate or doubts)
         # a heading off and a turn rate off look alike to the sensors that are left
         either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
@@ -115,6 +125,18 @@ def _few_satellites(facts: LogFacts, alarm: LearnedAlarm, end_s: float) -> Itera
     gps = facts.signal("gps").during(alarm.start_s, end_s)
     if gps and alarm.channel.startswith(("gyro_", "accel_")) and gps.values[:, 1].min() < _SATELLITES:
         yield f"its receiver was down to {gps.values[:, 1].min():.0f} satellites, and may be what is wrong"
+
+
+def _faster(facts: LogFacts, alarm: LearnedAlarm) -> Iterator[str]:
+    """Yield what says that a multirotor was as fast when a motor's alarm began as nothing taught how its motors act."""
+    if facts.watch is None or facts.vehicle != "multirotor" or not alarm.channel.startswith(("motor", "esc", "prop")):
+        return
+    pace = speed(facts)
+    taught = np.max(pace.during(-np.inf, facts.watch.until_s).only, initial=0.0)
+    # how fast it was when the observer began to leave zero is not known: an alarm comes seconds later
+    now = np.max(pace.during(alarm.start_s - _LEAST_S, alarm.start_s).only, initial=0.0)
+    if now > max(FAST_M_S, _FASTER * taught):
+        yield f"it went at {now:.0f} m/s, of which the begin of the flight, at {taught:.0f} m/s and less, says nothing"
 
 
 def _overlaps(alarms: Sequence[LearnedAlarm], watch: LearnedWatch, channel: str) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,8 +12,14 @@ from replay.review.facts.log_facts import Floats, LogFacts, LogSignal, inside, s
 STOPPED = 0.02
 """Share of full command below which a motor does not turn: under every autopilot's idle (PX4 idles from 0.05 on,
 ArduPilot's SPIN_ARM is 0.1)."""
-FULL = 0.95
-"""Share of full command: an autopilot leaves 5 % (MOT_SPIN_MAX 0.95)."""
+FULL = 0.945
+"""Share of full command: ArduPilot leaves 5 % (MOT_SPIN_MAX 0.95) and logs whole microseconds, of which a range of
+pulses has 200 and more."""
+FAST_M_S = 15.0
+"""A fifth more than PX4 (MPC_XY_VEL_MAX 12) and ArduPilot (LOIT_SPEED 12.5) allow a copter by default: beyond it the
+air turns a multirotor about as much as its motors do, and rotors that meet it at a slant lift otherwise."""
+_PACE_S = 1.0
+"""Over which a receiver's way is a speed: its noise, some 0.1 m from fix to fix, is none then."""
 IDLE = 0.4
 """Share of its usual command below which the strongest motor idles. Measured in 24 public logs: idle ones have 0.08 to
 0.26 of it, those that fly 0.61 and more."""
@@ -101,3 +109,14 @@ def spans_in_control(
 ) -> list[tuple[float, float]]:
     """Return from when to when a condition on n samples of a signal held in flight, before control was lost."""
     return spans_where(signal.time_s, holds & in_control(facts, signal.time_s), least_s)
+
+
+def speed(facts: LogFacts) -> LogSignal:
+    """Return how fast a vehicle went over the ground (m/s), by its receiver's way over a second."""
+    way = facts.signal("position")
+    times = way.time_s
+    before = np.maximum(np.searchsorted(times, times - _PACE_S, side="right") - 1, 0)
+    past = times - times[before]
+    gone = np.hypot(*(way.values - way.values[before]).T) if way else np.empty(0)
+    pace = np.where(past > 0, gone / np.where(past > 0, past, 1.0), 0.0)
+    return replace(way, values=pace[:, None], names=("speed",), unit="m/s")

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from replay.review.facts.log_facts import LogFacts, LogSignal
-from replay.review.findings.loss_of_control import FULL, spans_in_control
+from replay.review.facts.log_facts import LogFacts, LogSignal, degrees_apart
+from replay.review.findings.loss_of_control import FAST_M_S, FULL, spans_in_control, speed
 from replay.review.findings.rule import Judgement, Rule
 
 _APART = 0.25
@@ -18,6 +18,9 @@ _LEAST_S = 1.0
 _STEEP_DEG = 30.0
 """Tilt wanted beyond which a vehicle gathers speed (6 m/s2 and more), whose drag and lift turn it as a weak motor does:
 default of PX4's and ArduPilot's position modes, half as much again in sports."""
+_TURN_DEG, _TURN_S = 60.0, 1.0
+"""As fast as autopilots turn a copter about the vertical (ArduPilot's ATC_SLEW_YAW 60 degrees/s, PX4's MPC_YAWRAUTO_MAX
+60): what turns faster is told to by sticks or spins, and its motors go to their ends for that."""
 
 
 def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
@@ -25,10 +28,12 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
         return
     # there the air turns a fast vehicle, too
     dashes = (np.abs(facts.signal("attitude_wanted").at(motors.time_s)[:, :2]) > _STEEP_DEG).any(axis=1)
+    dashes |= speed(facts).at(motors.time_s)[:, 0] > FAST_M_S
     for k, name in enumerate(motors.names):
         others, own = np.delete(motors.values, k, axis=1), motors.values[:, k]
         alone = (own > FULL) & (np.median(others, axis=1) < own - _APART) & ~dashes
-        for start, end in spans_in_control(facts, motors, alone, _LEAST_S)[:1]:
+        spans = spans_in_control(facts, motors, alone, _LEAST_S)
+        for start, end in [(start, end) for start, end in spans if _turned_deg(facts, start) <= _TURN_DEG][:1]:
             mean = float(np.median(others[(motors.time_s >= start) & (motors.time_s <= end)]))
             yield Judgement(
                 span=(start, end),
@@ -39,14 +44,22 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
             )
 
 
+def _turned_deg(facts: LogFacts, before_s: float) -> float:
+    """Return by how much a vehicle turned about the vertical in the second before a time, there and back."""
+    yaw = facts.signal("attitude").during(before_s - _TURN_S, before_s).values[:, 2:]
+    return float(degrees_apart(yaw[1:], yaw[:-1]).sum())
+
+
 RULE = Rule(
     title="One motor at its most",
     stage="motion",
     physics="The autopilot gives the motor that lifts too little more and more command, until there is no more.",
-    evidence="one motor above 95 % for a second, the others' median 25 % of full command lower",
+    evidence="one motor at 95 % or more for a second, the others' median 25 % of full command lower",
     counter=(
         "a hard climb takes all motors up, a turn in yaw the two that turn the same way",
-        f"no more than {_STEEP_DEG:g} degrees of tilt were wanted: in a dash the air turns the vehicle, too",
+        f"it had turned about the vertical by no more than {_TURN_DEG:g} degrees in the second before",
+        f"no more than {_STEEP_DEG:g} degrees of tilt were wanted, and its receiver moved by no more than {FAST_M_S:g} "
+        "m/s: in a dash the air turns the vehicle, too",
     ),
     needs=("motors",),
     plots=("motors", "attitude", "rpm"),
