@@ -104,6 +104,22 @@ def test_an_alarm_appears_within_a_second_and_goes_when_it_clears(
     assert complaints(browser) == []
 
 
+def test_nothing_is_said_to_be_well_before_the_server_has_said_anything(
+    browser: webdriver.Chrome, serve: Callable[..., ConsoleServer], monitor: SimulatedMonitor
+) -> None:
+    url = serve().url
+    browser.execute_cdp_cmd("Network.enable", {})
+    browser.execute_cdp_cmd("Network.setBlockedURLs", {"urls": [f"{url.rstrip('/')}/stream"]})
+    try:
+        browser.get(url)
+        shows(browser, "#connection", "no connection")
+        assert text(browser, "main") == "Fleet\nAlarms\nVehicles"
+    finally:
+        browser.execute_cdp_cmd("Network.setBlockedURLs", {"urls": []})
+    browser.get(url)
+    shows(browser, "main", "No alarm is active.")
+
+
 def test_an_alarm_is_acknowledged_shelved_and_closed(
     browser: webdriver.Chrome, serve: Callable[..., ConsoleServer], monitor: SimulatedMonitor
 ) -> None:

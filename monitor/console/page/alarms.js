@@ -12,7 +12,7 @@ export class AlarmTable {
     this.rows = el("tbody");
     const titles = ["Severity", ...(of === null ? ["Vehicle"] : []), "Channel", "Size", "Since", "State", "What", ""];
     const head = el("thead", {}, el("tr", {}, ...titles.map((title) => el("th", { scope: "col" }, title))));
-    this.table = el("table", { class: "alarms" }, head, this.rows);
+    this.table = el("table", { class: "alarms", hidden: true }, head, this.rows);
     this.none = el("p", { class: "quiet" });
     this.more = el("p", { class: "quiet" });
     this.element = el("div", { class: "wide" }, this.table, this.none, this.more);

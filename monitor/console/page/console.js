@@ -14,6 +14,7 @@ const app = {
   alarms: [],
   more: 0,
   counts: { critical: 0, warning: 0 },
+  heard: false, // whether the server said anything: until then nothing is known, not even that all is well
   ahead: 0, // milliseconds that the server's clock is ahead of ours
   page: null,
 
@@ -44,6 +45,7 @@ const stream = new Stream({
   },
 
   news(news) {
+    app.heard = true;
     app.ahead = news.now_ns / 1e6 - Date.now();
     if (news.names) {
       for (const card of news.cards) app.cards.set(card.name, card);
@@ -109,7 +111,7 @@ function route() {
     if (here) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
-  app.page.update({ alarms: app.alarms });
+  if (app.heard) app.page.update({ alarms: app.alarms });
 }
 
 function follow() {
