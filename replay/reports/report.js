@@ -44,10 +44,16 @@
     }
     ctx.textAlign = "left";
     ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
-    for (const [at, words] of content.marks ?? []) {
-      const x = plot.valToPos(at, "x", true);
+    // What began before the left edge is named there, the last of it alone; names that would overlap stand lower.
+    const marks = (content.marks ?? []).map(([at, words]) => [plot.valToPos(at, "x", true), words]);
+    const ends = [];
+    for (const [x, words] of marks.slice(Math.max(0, marks.findLastIndex(([x]) => x <= bbox.left)))) {
+      const left = Math.max(x, bbox.left) + 4 * devicePixelRatio;
+      const free = ends.findIndex((end) => end < left);
+      const lane = free < 0 ? ends.length : free;
+      ends[lane] = left + ctx.measureText(words).width;
       line(x, bbox.top, x, bbox.top + bbox.height);
-      ctx.fillText(words, x + 4 * devicePixelRatio, bbox.top + 12 * devicePixelRatio);
+      ctx.fillText(words, left, bbox.top + 12 * (lane + 1) * devicePixelRatio);
     }
     ctx.restore();
   }
