@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from adapters.batch import pack
+from adapters.channels import Channel
 from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.pipeline import Pipeline
@@ -79,6 +81,18 @@ def test_a_simulation_may_run_at_any_speed(telemetry: Telemetry, speed: float) -
 def test_a_message_that_does_not_come_is_named_and_not_called_slow(telemetry: Telemetry) -> None:
     rates = dict.fromkeys(telemetry.names, round(telemetry.observer.rate_hz)) | {"ATTITUDE": 0}
     assert telemetry.run(12, rates, samples=False) == ["motors watches nothing: no ATTITUDE"]
+
+
+def test_a_receiver_without_a_fix_is_named(telemetry: Telemetry) -> None:
+    gps = Channel("lat", "GPS_RAW_INT", ("lat",), at_least=(("fix_type", 2.0),))
+    observer = replace(telemetry.observer, source=replace(telemetry.observer.source, signals=(gps,)))
+    watch = TelemetryWatch([observer], {observer.name: frozenset({"GPS_RAW_INT"})}, START_NS)
+    at_ns = START_NS + 6 * SECOND_NS
+    watch.count_messages("GPS_RAW_INT", START_NS)
+    watch.count_messages("GPS_RAW_INT", at_ns, 2, {"fix_type": np.array([3, 1])})
+    assert watch.lacks(at_ns) == ["motors watches nothing: GPS_RAW_INT says fix_type 1 and counts from 2 on"]
+    watch.count_messages("GPS_RAW_INT", at_ns, 2, {"fix_type": np.array([1, 3])})
+    assert watch.lacks(at_ns) == ["motors watches nothing: its measurements do not come together"]
 
 
 def test_a_vehicle_that_comes_late_is_given_time_for_its_first_sample(telemetry: Telemetry) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
+from adapters.batch import Fields
 from monitor.profile import ObserverProfile
 from monitor.sampling.slow_telemetry import seldom_text
 
@@ -32,6 +33,9 @@ class TelemetryWatch:
         self._needed = frozenset[str]().union(*needs.values())
         self._since_ns = now_ns
         self._silent = True
+        channels = [channel for observer in observers for channel in observer.source.channels]
+        self._least = {channel.message: channel.at_least for channel in channels if channel.at_least}
+        self._short: dict[str, str] = {}
         self._received: dict[str, int] = {}
         self._sampled: dict[str, int] = {}
         self._counts: Counter[str] = Counter()
@@ -39,9 +43,18 @@ class TelemetryWatch:
         self._counted_ns = self._asked_ns = now_ns
         self._slow: dict[str, str] = {}
 
-    def count_messages(self, name: str, received_ns: int, count: int = 1) -> None:
-        """Count messages of the vehicle of one name, the last one received at a Unix time."""
+    def count_messages(self, name: str, received_ns: int, count: int = 1, fields: Fields | None = None) -> None:
+        """Count messages of the vehicle of one name, with their fields as columns, the last received at a Unix time."""
         if name in self._needed:
+            if fields and name in self._least:
+                self._short[name] = next(
+                    (
+                        f"{name} says {field} {fields[field][-1]:g} and counts from {least:g} on"
+                        for field, least in self._least[name]
+                        if field in fields and not fields[field][-1] >= least
+                    ),
+                    "",
+                )
             if self._silent:
                 # an observer needs some time from its first messages to its first sample
                 self._since_ns, self._silent = received_ns, False
@@ -93,7 +106,8 @@ class TelemetryWatch:
             return None
         names = self._needs[observer]
         missing = sorted(name for name in names if now_ns - self._received.get(name, 0) >= _LACKING_NS)
-        why = f"no {', '.join(missing)}" if missing else "its measurements do not come together"
+        short = sorted(self._short[name] for name in names if self._short.get(name))
+        why = f"no {', '.join(missing)}" if missing else "; ".join(short) or "its measurements do not come together"
         return f"{observer} watches nothing: {why}"
 
     def _seldom(self, observer: ObserverProfile) -> str | None:

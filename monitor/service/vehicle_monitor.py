@@ -179,7 +179,7 @@ class VehicleMonitor:
         for columns in own.columns:
             times = columns.received_ns.tolist()
             telemetry += times
-            self._watch.count_messages(columns.name, times[-1], len(times))
+            self._watch.count_messages(columns.name, times[-1], len(times), columns.fields)
         commanded = False
         for message in own.others.values():
             if message.source.is_telemetry:
