@@ -15,6 +15,7 @@ from monitor.event import AlarmEvent
 from monitor.profile import Profile
 from monitor.trace import Trace
 from replay.reports.findings import FIT_FILE, effects, findings, watched_channels
+from replay.reports.verdict import alarm_summary
 
 EFFECT = EffectivenessRule(noise=0.01, inflation=1.0, lag_s=0.0, loss_doubt=0.0, offset_doubt=0.0, certainty=5.0)
 EVENTS = [
@@ -83,6 +84,16 @@ def test_what_answers_for_an_effect_has_no_standard_deviation(profile: Profile) 
     assert (found.deviation, found.effect) == (None, EFFECT)
 
 
+def test_a_lost_effect_is_said_as_its_events_say_it_and_its_peak_as_an_estimate(profile: Profile) -> None:
+    [observer] = profile.observers
+    judged = replace(profile, observers=(replace(observer, effectiveness={"motor1": EFFECT}),))
+    shares = [replace(one, relative=share) for one, share in zip(EVENTS, (-0.5, -0.48, -0.52, None), strict=True)]
+    [found] = findings(judged, shares, [run()])
+    assert found.relative == pytest.approx(-0.5)
+    assert found.message == "motor1 delivers 50 % less than commanded"
+    assert alarm_summary(found).endswith("(peak -7 % of full thrust)")
+
+
 def test_every_channel_says_how_quiet_it_was_and_what_its_threshold_rests_on(profile: Profile, tmp_path: Path) -> None:
     said = {"threshold": 0.015, "level": 0.01, "level_low": 0.005, "level_high": 0.02, "healthy_hours": 0.5}
     alarms = {"motor1": said, "motor2": said}
@@ -92,6 +103,7 @@ def test_every_channel_says_how_quiet_it_was_and_what_its_threshold_rests_on(pro
     assert (first.alarms, first.watched_s, first.peak) == (1, 12.0, pytest.approx(-0.05))
     assert first.calibration is not None
     assert (first.calibration.level, first.calibration.high, first.calibration.hours) == (0.01, 0.02, 0.5)
+    assert [first.size_text(size) for size in (-0.05, 1e-5)] == ["-0.05 N", "0 N"]
     # its threshold is not what the fit had found
     assert (second.alarms, second.calibration) == (0, None)
 

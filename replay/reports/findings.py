@@ -28,6 +28,8 @@ _GROWTH = 1.2
 raises an alarm, a tenth at most."""
 _SAME_SIZE = 1e-3
 """Relative: thresholds are written with four digits."""
+_NOTHING = 1e-3
+"""Of a threshold: sizes have three digits, and less than one of the last of them is said as none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,9 @@ class WatchedChannel:
     usual_command: float | None  # of a motor: what it lost is said as a share of that
 
     def size_text(self, size: float) -> str:
-        """Return a size of the channel as people say it."""
+        """Return a size of the channel as people say it, none where that is nothing beside the threshold."""
+        if abs(size) < _NOTHING * self.rule.threshold:
+            size = 0.0
         return size_text(size, self.rule.unit, self.usual_command)
 
 
@@ -143,7 +147,12 @@ def _finding(
     relative, message = None, largest.message
     if size is not None:
         near = min(active, key=lambda event: abs((event.estimate or 0.0) - size))
-        if near.relative is not None and near.estimate:
+        shares = [event.relative for event in active if event.relative is not None]
+        if effect is not None:
+            # the estimate follows the command, the lost effect does not
+            grew = False
+            relative = float(np.median(shares)) if shares else None
+        elif near.relative is not None and near.estimate:
             relative = near.relative * size / near.estimate
         message = alarm_message(alarm.observer, alarm.channel, near.kind, near.unit, near.state, size, relative)
         message += next((f"; the cause is in {event.part}" for event in reversed(alarm.history) if event.part), "")

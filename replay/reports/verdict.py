@@ -44,7 +44,9 @@ def alarm_summary(finding: Finding) -> str:
     """Return a line about one alarm: when, where, how grave, what, two standard deviations of its size, its peak."""
     alarm, event = finding.alarm, finding.largest
     end = "to the end" if alarm.end_ns is None else f"to {utc(alarm.end_ns)[11:19]}"
-    share = finding.relative / finding.size if finding.relative is not None and finding.size else None
+    # a lost effect is no fixed share of its estimate
+    steady = finding.relative is not None and finding.effect is None
+    share = (finding.relative or 0.0) / finding.size if steady and finding.size else None
     peak = max((event.peak for event in alarm.history if event.peak is not None), key=abs, default=None)
     doubt = []
     if finding.size is not None and finding.deviation is not None:
