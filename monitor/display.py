@@ -55,6 +55,8 @@ def share_unit(unit: str) -> str:
 
 def size_text(size: float, unit: str, usual_command: float | None = None, *, signed: bool = False) -> str:
     """Return a size in one of the monitor's units as people say it: ``5.73 degrees``; per cent have two digits."""
+    if unit == _LOGARITHM:
+        return f"{number_text(math.exp(min(size, 50.0)), 2)} times"
     factor, name = display_unit(unit, usual_command)
     return f"{number_text(factor * size, 2 if '%' in name else 3, signed=signed)} {name}".rstrip()
 
@@ -76,8 +78,6 @@ def fault_text(channel: str, estimate: float | None, relative: float | None, uni
     if not _is_size(estimate):
         return ""
     size = float(estimate or 0.0)
-    if unit == _LOGARITHM:
-        return f"{number_text(math.exp(min(size, 50.0)), 2)} times"
     # a compass' estimate counts turns on; nothing is further off than half of one
     return size_text(math.remainder(size, math.tau) if channel == "compass" else size, unit, signed=True)
 

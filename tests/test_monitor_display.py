@@ -24,6 +24,7 @@ from monitor.display import display_unit, doubt_text, fault_text, number_text, s
         (12345.6, "alarms", "+12346 alarms"),
         (7.0, "", "+7"),
         (-0.0, "m", "+0 m"),
+        (math.log(3.0), "natural logarithm of times", "3 times"),
     ],
 )
 def test_a_size_has_the_unit_that_people_say(size: float, unit: str, text: str) -> None:

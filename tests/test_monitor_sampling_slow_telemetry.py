@@ -35,7 +35,7 @@ def slow_log(tmp_path_factory: pytest.TempPathFactory, data: Path) -> Path:
 
 
 def test_slow_messages_are_those_far_below_what_is_wanted_and_not_slow_by_nature() -> None:
-    rates = {"ATTITUDE": 4.0, "HIGHRES_IMU": 45.0, "GPS_RAW_INT": 5.0}
+    rates = {"ATTITUDE": 4.0, "HIGHRES_IMU": 45.0, "GPS_RAW_INT": 5.0, "VIBRATION": 10.0}
     channels = [Channel("x", name, ("x",)) for name in rates]
     assert slow_messages([rates, rates | {"ATTITUDE": 50.0}], channels, 50.0) == {"ATTITUDE": 4.0}
 

@@ -17,6 +17,7 @@ from gains.plants.plant import Plant
 from gains.synthesis.gains_file import write_gains
 from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule
+from monitor.display import number_text
 from monitor.estimation.isolation_rule import BankRule, gains_file_names
 from monitor.fitting.agreement import Agreement
 from monitor.fitting.capability import Capability, capability_text
@@ -191,7 +192,8 @@ class Fitted(ObserverSetup):
             return []
         most = max(rates, key=lambda channel: rates[channel])
         return [
-            f"  false alarms expected in 100 hours: {sum(rates.values()):.2g} in all, {most} most ({rates[most]:.2g}); "
+            f"  false alarms expected in 100 hours: {number_text(sum(rates.values()), 2)} in all, "
+            f"{most} most ({number_text(rates[most], 2)}); "
             f"{self.flight_s / 60.0:.0f} minutes of flight cannot show less than {max(excluded):,.0f} of each (95 %)"
         ]
 

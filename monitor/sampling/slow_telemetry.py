@@ -18,6 +18,10 @@ _SPANNED = 3.0
 """Samples between two messages from which an observer interpolates more than it measures: two of three are between."""
 
 
+_LEVELS = frozenset({"VIBRATION"})
+"""Levels over a while, which autopilots sum up themselves: coming more often they would say nothing more."""
+
+
 def _seldom(channels: Collection[Channel]) -> frozenset[str]:
     return SELDOM | {channel.message for channel in channels if channel.name in _POSITION}
 
@@ -29,7 +33,7 @@ def slow_messages(
 
     Recordings are given as messages per second by name; only messages of the channels count.
     """
-    fast = sorted({channel.message for channel in channels} - _seldom(channels))
+    fast = sorted({channel.message for channel in channels} - _seldom(channels) - _LEVELS)
     rates = {name: min(recording.get(name, 0.0) for recording in recordings) for name in fast}
     return {name: rate for name, rate in rates.items() if rate < _ENOUGH * wanted_hz}
 
