@@ -12,7 +12,7 @@ from synthetic_run import LAYOUT, THRESHOLDS, event, trace
 
 from monitor.trace import Trace, TraceBuilder
 from monitor.views.panels import RunView
-from replay.reports.charts import BINS, Charts, origin_ns
+from replay.reports.charts import BINS, Charts, observer_charts, origin_ns
 
 EVENTS = [event(1020, "raised"), event(1300, "cleared"), event(1400, "raised", id="02J", severity="critical")]
 
@@ -58,6 +58,13 @@ def test_a_motor_s_chart_has_the_size_of_its_alarm() -> None:
     assert np.nanmedian(series(found, "estimate")[after]) == pytest.approx(-6.0 / 0.8, abs=0.5)
     assert np.isfinite(series(content(RunView([run], [], THRESHOLDS), run, "motor2"), "estimate")[-10:]).all()
     assert content(RunView([run], [], THRESHOLDS), run, "motor 4")["unit"] == "% of full thrust"
+
+
+def test_an_input_that_never_moves_is_drawn_in_the_middle_of_its_lane() -> None:
+    run = trace()
+    still = replace(run, u=np.full_like(run.u, 3.0))
+    inputs = next(chart for chart in observer_charts(RunView([still], [], {}), still) if chart.title == "inputs")
+    assert {value for one in inputs.content["series"] for value in one["y"] if value is not None} == {0.5}
 
 
 def test_lines_break_where_the_observer_restarted() -> None:

@@ -132,7 +132,8 @@ def observer_charts(
     for name, command in zip(layout.inputs, trace.u.T, strict=True):
         low, high = usual_range(evidence(trace, command))
         said = f"{low:.2g} … {high:.2g}".replace("-", "\N{MINUS SIGN}")
-        inputs.append((name, (command - low) / ((high - low) or 1.0), said))
+        # one that never moves lies in the middle of its lane, where it is seen
+        inputs.append((name, (command - low) / (high - low) if high > low else 0.5 + command - low, said))
     # those of no observer, such as lost telemetry, concern them all
     others = {other.layout.observer for other in run.traces} - {layout.observer}
     spans = _spans(run, lambda span: span.observer not in others)
