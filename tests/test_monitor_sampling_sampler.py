@@ -624,3 +624,20 @@ def test_no_message_makes_the_sampler_fail(messages: list[tuple[str, dict[str, A
             assert np.isfinite(sample.u).all()
             assert np.isfinite(sample.y).all()
     assert len(feed(to, telemetry(10_000_000_000, 10_001_000_000))) > 800
+
+
+@pytest.mark.parametrize(
+    ("restless", "idles", "still"), [(True, False, ("B", "A")), (True, True, ("A",)), (False, False, ())]
+)
+def test_rates_that_stand_still_are_lost_and_commands_where_wings_never_carry(
+    restless: bool, idles: bool, still: tuple[str, ...]
+) -> None:
+    commands = [Channel(f"command{k}", "B", (f"command{k}",)) for k in range(3)]
+    rates = [Channel(f"rate{k}", "A", (f"rate{k}",)) for k in range(3)]
+    both = Sampler(commands, rates, 100.0, VehicleClock(), restless=restless, idles=idles)
+    for stop_us, found in ((1_000_000, ()), (2_000_000, still)):
+        for t in range(stop_us - 1_000_000, stop_us, 10_000):
+            value = math.sin(min(t, 1_000_000) / 1e5)
+            feed(both, [message("B", t, **{c.name: value for c in commands})])
+            feed(both, [message("A", t, **{c.name: value for c in rates})])
+        assert both.still == found

@@ -51,6 +51,7 @@ class SamplerCore:
         max_gap_s: float = ...,
         fitted_hz: Mapping[str, float] = ...,
         restless: bool = ...,
+        idles: bool = ...,
     ) -> None: ...
     @property
     def interests(self) -> frozenset[str]: ...
@@ -68,7 +69,7 @@ class SamplerCore:
 class Settling:
     idle: int
     commanded: bool
-    def __init__(self, settle_s: float, noisy: bool = False) -> None: ...
+    def __init__(self, settle_s: float) -> None: ...
     def run(self, samples: Samples, allowed: bool, least_command: float | None) -> NDArray[np.bool_]: ...
 
 class Taken(NamedTuple):

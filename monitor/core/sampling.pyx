@@ -61,7 +61,7 @@ from adapters.sample import Samples
 from cpython.buffer cimport PyBUF_SIMPLE, PyBUF_STRIDES, PyBUF_WRITABLE
 from cpython.buffer cimport PyBuffer_Release, PyObject_GetBuffer
 from cpython.mem cimport PyMem_Free, PyMem_Realloc
-from libc.math cimport NAN, fabs, fmod, isfinite, rint
+from libc.math cimport NAN, fmod, isfinite, rint
 from libc.stdlib cimport qsort
 from libc.string cimport memcmp, memcpy, memmove, memset
 
@@ -101,10 +101,6 @@ cdef int _RIVALS = 3
 cdef nanoseconds _AWAY = 3 * _SECOND
 # Chosen: after a longer silence nothing of what was estimated before it is of use, so starting anew costs nothing.
 cdef nanoseconds _JUMP = 10 * _SECOND
-# Samples in a row in which nothing changes that sensors without noise alone give: as in repeats.pyx. What means of the
-# same values differ by, as a share of them.
-cdef int _FROZEN = 20
-cdef double _ROUNDING = 1e-12
 # A minute of least delays, twelve of them: after it a clock with 200 ppm of skew behind up to 20 ms of jitter is mapped
 # within half a millisecond (tests/test_monitor_sampling_clock.py). Longer, and a skew that changes is followed late.
 cdef nanoseconds _BUCKET = 5 * _SECOND
@@ -989,6 +985,8 @@ cdef class SamplerCore:
         How often messages came in the fitted flights, by name, as far as it matters.
     restless : bool
         Whether the vehicle is one whose commands and rates never stand still in flight.
+    idles : bool
+        Whether its commands may all the same, as wings carry it at times.
 
     Attributes
     ----------
@@ -1034,7 +1032,7 @@ cdef class SamplerCore:
     cdef object _none
 
     def __init__(self, inputs, outputs, rate_hz, VehicleClock clock not None, max_gap_s=MAX_GAP_S,
-                 fitted_hz=MappingProxyType({}), bint restless=False):
+                 fitted_hz=MappingProxyType({}), bint restless=False, bint idles=False):
         cdef int widest
         channels = (*inputs, *outputs)
         if not channels or not 0 < rate_hz <= 1_000_000_000:
@@ -1054,6 +1052,7 @@ cdef class SamplerCore:
             # fixes, heights and fields do stand still
             turns = any([channel.period for _, channel in group]) and not group[0][1].at_least
             moves = restless and (turns or len(group) >= (SENSES if self._raw else 3))
+            moves = moves and not (idles and group[0][0] < self._inputs)
             stream = Stream(group, round(max_gap_s * 1e9), round(1e9 / rate_hz), self._raw, fitted, moves)
             self._streams.setdefault(name, []).append(stream)
         for streams in self._streams.values():
@@ -1464,8 +1463,6 @@ cdef class Settling:
     ----------
     settle_s : float
         How long it has to have held, seconds of vehicle time; a restart counts as its beginning.
-    noisy : bool
-        Whether outputs are those of sensors whose noise changes them from sample to sample in flight.
 
     Attributes
     ----------
@@ -1480,24 +1477,19 @@ cdef class Settling:
     cdef readonly Py_ssize_t idle
     cdef readonly bint commanded
     cdef nanoseconds _since
-    cdef bint _noisy
-    # the outputs of the sample before, and how many before it had the same
-    cdef double[::1] _before
-    cdef int _same
 
-    def __init__(self, double settle_s, bint noisy=False):
-        self._settle_ns, self._noisy = settle_s * 1e9, noisy
-        self._before = np.empty(0)
+    def __init__(self, double settle_s):
+        self._settle_ns = settle_s * 1e9
 
     def run(self, samples, bint allowed, least_command):
         """Return which samples count (n,): ``allowed``, measured, the mean input at least ``least_command``, if any.
 
-        A sample of which all outputs are lost does not count either, nor one whose sensors are frozen.
+        A sample of which all outputs are lost does not count either.
         """
         cdef const nanoseconds[:] times = samples.vehicle_time_ns
         cdef const unsigned char[:] restart = samples.restart, measured = samples.measured
         cdef const unsigned char[:, :] lost = samples.lost
-        cdef const double[:, :] u, y
+        cdef const double[:, :] u
         cdef bint by_command = least_command is not None
         cdef double least = least_command if by_command else 0.0, total
         cdef Py_ssize_t row, i, outputs_from = samples.u.shape[1]
@@ -1506,8 +1498,6 @@ cdef class Settling:
         cdef unsigned char[::1] flags = admitted
         if by_command:
             u = samples.u
-        if self._noisy:
-            y = samples.y
         self.idle = -1
         for row in range(times.shape[0]):
             holds = allowed
@@ -1518,9 +1508,6 @@ cdef class Settling:
                 self.commanded = total / u.shape[1] >= least
                 if not self.commanded:
                     holds, self.idle = False, row
-            if self._noisy and y.shape[1]:
-                self.compare(y, row, restart[row] or not holds, measured[row])
-                holds &= self._same < _FROZEN
             if holds and (restart[row] or not self._holds):
                 self._since = times[row]
             self._holds = holds
@@ -1531,18 +1518,6 @@ cdef class Settling:
                     present |= not lost[row, i]
                 flags[row] = present
         return admitted
-
-    cdef int compare(self, const double[:, :] y, Py_ssize_t row, bint restart, bint measured) except -1:
-        """Count for how many measured samples no output has changed, but for the rounding of means."""
-        cdef bint same = self._before.shape[0] > 0 and not restart
-        cdef int i
-        if self._before.shape[0] == 0:
-            self._before = np.empty(y.shape[1])
-        for i in range(y.shape[1]):
-            same = same and fabs(y[row, i] - self._before[i]) <= _ROUNDING * fabs(y[row, i])
-            self._before[i] = y[row, i]
-        self._same = self._same + measured if same else 0
-        return 0
 
 
 cdef void* _data(array) except NULL:

@@ -5,9 +5,8 @@ Rules, in order: a vehicle known to be disarmed is not watched; where the vehicl
 ``airborne_command`` takes its place; if that is zero, a height that is not its home's. ArduPilot reports "in the air"
 as soon as motors leave idle, so that one that is flown by hand may still stand on the ground and lean against it: from
 that report on a multirotor's samples count once its mean command has been that of hovering. A vehicle of rotors and
-wings has to be carried by those that an observer watches. Samples in which all of a multirotor's sensors stand still do
-not count either: what sends them is frozen. Each time the rules come to hold,
-``settle_s`` of vehicle time passes before evidence counts. When the reported flight phase comes to allow evidence, the
+wings has to be carried by those that an observer watches. Each time the rules come to hold, ``settle_s`` of vehicle
+time passes before evidence counts. When the reported flight phase comes to allow evidence, the
 samples restart: the estimates made on the ground, before the first fix of the GPS or while the vehicle was carried
 about, are forgotten.
 """
@@ -73,9 +72,9 @@ class FlightGate:
     """
 
     def __init__(self, rule: GateRule, commands: bool = True, lift: LiftRule | None = None) -> None:
-        # commands of flight are known of multirotors alone; their gyros and accelerometers vibrate in flight
+        # commands of flight are known of multirotors alone
         self._rule, self._commands = rule, commands and rule.airborne_command > 0.0
-        self._settling = Settling(rule.settle_s, self._commands)
+        self._settling = Settling(rule.settle_s)
         self._driven: int | None = None
         self._lifted = False  # whether a vehicle that reports that it flies has lifted off
         self._reported_ns: int | None = None  # vehicle time since which it reports that; None where it does not
@@ -172,9 +171,11 @@ class GatedSampler:
             inputs, outputs, sampled_hz = source.signals, (), source.transform.rate_hz
             self._transform = make_transform(source.transform, rate_hz)
             self._size = round(sampled_hz / rate_hz)
-        # motors that alone carry a vehicle
-        restless = rule.airborne_command > 0.0 and source.lift is None
-        self.sampler = Sampler(inputs, outputs, sampled_hz, clock, fitted_hz=source.fitted_hz, restless=restless)
+        # commands of flight are known of multirotors alone; wings may carry a vehicle while its motors idle
+        restless, idles = rule.airborne_command > 0.0, source.lift is not None
+        self.sampler = Sampler(
+            inputs, outputs, sampled_hz, clock, fitted_hz=source.fitted_hz, restless=restless, idles=idles
+        )
         self._kept: list[Samples] = []
         self.gate = FlightGate(rule, commands and source.transform is None, source.lift)
         self._rule = rule
