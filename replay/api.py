@@ -21,7 +21,7 @@ from monitor.fitting.flights import part_of
 from monitor.fitting.kept_flights import kept_model
 from monitor.profile import Profile, read_profile
 from monitor.vehicles.kinds import fit_reading
-from replay.fit import FitReport, fit_profile
+from replay.fit import FitReport, fit_profile, name_by_folder
 from replay.player import Replay, interests, play_batches
 
 
@@ -141,7 +141,7 @@ def fit(
         kind,
         [partial(log, path) for path in names],
         into,
-        name or (read_profile(into).name if update else into.resolve().name),
+        name or (read_profile(into).name if update else name_by_folder(into)),
         own_model,
         log_names=names,
         force=force,

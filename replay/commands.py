@@ -150,7 +150,7 @@ def run_fit(args: argparse.Namespace) -> int:
     from monitor.fitting.progress import Stages, track
     from monitor.profile import PROFILE_FILE, read_profile
     from monitor.vehicles.kinds import fit_reading
-    from replay.fit import fit_profile
+    from replay.fit import fit_profile, name_by_folder
     from replay.runs.log_list import check_output_folder
 
     _check_fit(args)
@@ -158,7 +158,7 @@ def run_fit(args: argparse.Namespace) -> int:
         recording_kind(path)
     out = args.out or args.update
     check_output_folder(out)
-    name = args.name or (read_profile(args.update).name if args.update else out.resolve().name)
+    name = args.name or (read_profile(args.update).name if args.update else name_by_folder(out))
     wanted, types = fit_reading(args.model or (kept_model(args.update) if args.update else None))
 
     def log(path: Path) -> Iterator[Batch]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -274,6 +275,16 @@ class SurveyedLog:
     name: str
     survey: Survey
     identity: Identity
+
+
+_LONGEST_NAME = 64
+"""That of a model (:mod:`gains.plants.plant`)."""
+
+
+def name_by_folder(folder: Path) -> str:
+    """Return the name of a vehicle after its profile's folder: hyphens for what a name cannot hold."""
+    name = re.sub(r"[^A-Za-z0-9_-]", "-", folder.resolve().name)
+    return (name if name[:1].isalpha() else f"vehicle-{name}")[:_LONGEST_NAME]
 
 
 def survey_log(name: str, log: BatchSource, known: Identity | None = None) -> SurveyedLog:

@@ -12,7 +12,7 @@ import fauio
 from adapters.logs.recordings import packed, read_recording
 from monitor.profile import read_profile
 from monitor.vehicles.kinds import fit_messages
-from replay.fit import fit_profile, replace_kept
+from replay.fit import fit_profile, name_by_folder, replace_kept
 
 
 @pytest.mark.long
@@ -58,3 +58,16 @@ def test_where_nothing_tells_what_the_motors_do_the_sensors_are_watched(
     assert [one.name for one in read_profile(tmp_path / "quad").observers] == ["inertial"]
     (line,) = (line for line in report.text() if line.startswith("not fitted: "))
     assert line.startswith("not fitted: each motor, three gyros: which way its 4 motors turn the vehicle is not known")
+
+
+@pytest.mark.parametrize(
+    ("folder", "name"),
+    [
+        ("quad", "quad"),
+        ("my quad.v2+x", "my-quad-v2-x"),
+        ("2024_flight.ulg", "vehicle-2024_flight-ulg"),
+        ("q" * 99, "q" * 64),
+    ],
+)
+def test_a_vehicle_is_called_after_its_folder_as_far_as_a_name_can_be(folder: str, name: str, tmp_path: Path) -> None:
+    assert name_by_folder(tmp_path / folder) == name
