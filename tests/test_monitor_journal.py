@@ -510,18 +510,6 @@ def test_what_is_shelved_while_another_process_locks_the_journal_is_written_afte
         assert journal.shelved("copter-1") == {"motors/motor1": 5}
 
 
-def test_a_journal_from_before_shelved_channels_were_kept_goes_on(path: Path) -> None:
-    with opened(path) as journal:
-        journal.write(event(1))
-    with contextlib.closing(sqlite3.connect(path)) as before:
-        before.execute("DROP TABLE shelved")
-        before.commit()
-    with opened(path) as journal:
-        assert seqs(journal) == [1]
-        journal.shelve("copter-1", {"motors/motor1": 5})
-        assert journal.shelved("copter-1") == {"motors/motor1": 5}
-
-
 @pytest.mark.parametrize("damaged", ["", "{", "[1]", "[" * 100_000])
 def test_a_damaged_freeze_frame_is_none(tmp_path: Path, damaged: str) -> None:
     journal = Journal(tmp_path / "events.sqlite")

@@ -73,7 +73,6 @@ def test_the_digest_follows_every_edit(folder: Path) -> None:
         (r"^threshold = .*", "threshold = nan", "threshold' is nan, which is not a finite number"),
         (r"^clear = .*", "clear = 9.0", "is above 'threshold'"),
         (r"^method = .*", 'method = "guess"', "is \"guess\"; it must be 'independent' or 'bank'"),
-        (r"^method = .*", 'method = "single"', "which banks have replaced; make the profile again with 'fauio fit'"),
         (r"^message = .*", "message = 3", "message' is 3, which is not text in quotes"),
         (r"^edge = true", "edge = 1", "hypotheses[4].edge' is 1, which is not true or false"),
         (r"^score_floor = .*", "score_floor = -1.0", "score_floor' is -1"),

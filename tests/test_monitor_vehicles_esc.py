@@ -168,7 +168,16 @@ def test_speeds_without_a_voltage_do_not_stand_in_for_commands() -> None:
 
 
 PARAMETERS = {
-    **{"output1": 1.0, "output2": 2.0, "volts": 16.0, "delay_s": 0.0, "lag_s": 0.0, "rpm1": 5000.0, "rpm2": 5000.0},
+    **{
+        "curves": 2.0,
+        "output1": 1.0,
+        "output2": 2.0,
+        "volts": 16.0,
+        "delay_s": 0.0,
+        "lag_s": 0.0,
+        "rpm1": 5000.0,
+        "rpm2": 5000.0,
+    },
     **{f"rpm{n}_c{term}": value for n in (1, 2) for term, value in enumerate((0.5, 1.0, 0.0, 0.5))},
 }
 
@@ -194,7 +203,7 @@ def test_an_expectation_stands_beside_the_measurement_that_comes_one_tick_later(
     raw = raw_samples(36)
     given = EscInputs(PARAMETERS, 100.0, 50.0).run(raw).samples
     means = raw.u.reshape(-1, 2, 6).mean(axis=1)
-    assert given.u == pytest.approx(0.5 + means[:, :2] * (1.0 + 0.5 * (15.2 / 16.0 - 1.0)))
+    assert given.u == pytest.approx(0.5 + means[:, :2] * (1.0 + 1.5 * (15.2 / 16.0 - 1.0)))
     assert given.y[1:] == pytest.approx(means[:-1, 2:4] / 5000.0)
 
 
@@ -204,7 +213,7 @@ def test_a_measurement_stands_beside_what_was_expected_when_it_was_made() -> Non
     u[:, 2:4] = u[raw.index // 10 * 10, 2:4]
     given = EscInputs(PARAMETERS, 100.0, 10.0).run(replace(raw, u=u)).samples
     assert len(given) == 3
-    assert given.u == pytest.approx(0.5 + u[[0, 10, 20], :2] * (1.0 + 0.5 * (15.2 / 16.0 - 1.0)))
+    assert given.u == pytest.approx(0.5 + u[[0, 10, 20], :2] * (1.0 + 1.5 * (15.2 / 16.0 - 1.0)))
     assert given.y[1:] == pytest.approx(u[[0, 10], 2:4] / 5000.0)
 
 
@@ -212,7 +221,7 @@ def test_speeds_follow_command_times_voltage_and_currents_the_power_over_it() ->
     raw = raw_samples(36)
     u = np.hstack([raw.u[:, :4], np.full((36, 2), 8.0), raw.u[:, 4:]])
     current = {f"amps{n}_c{term}": value for n in (1, 2) for term, value in enumerate((0.1, 0.0, 0.0, 0.9))}
-    parameters = {**PARAMETERS, **current, "amps1": 10.0, "amps2": 10.0, "curves": 2.0, "rpm1_c2": -0.2}
+    parameters = {**PARAMETERS, **current, "amps1": 10.0, "amps2": 10.0, "rpm1_c2": -0.2}
     given = EscInputs(parameters, 100.0, 100.0).run(replace(raw, u=u, lost=np.zeros((36, 8), bool))).samples
     applied = raw.u[:, 0] * 15.2 / 16.0
     assert given.u[:, 0] == pytest.approx(0.5 + applied - 0.2 * applied**2 + 0.5 * raw.u[:, 0] * (15.2 / 16.0 - 1.0))
@@ -307,7 +316,7 @@ def test_samples_do_not_depend_on_cuts() -> None:
         ({"rpm1_c2": None}, "'rpm1_c2' is missing"),
         ({"amps3": 1.0}, "'amps1' is missing"),
         ({"weight": 1.0}, "'weight' is unknown"),
-        ({"curves": 3.0}, "'curves' is 3; 1 or 2"),
+        ({"curves": 1.0}, "'curves' is 1; it has to be 2"),
         ({"lag_s": -1.0}, "'lag_s' is -1; from 0 to 2"),
         ({"rpm2": 0.0}, "'rpm2' is 0; that of hovering is above 0"),
     ],

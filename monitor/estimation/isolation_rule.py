@@ -71,9 +71,6 @@ def read_hypotheses(table: Table) -> tuple[tuple[str, ...], ...] | None:
 
     Mistakes are recorded in the table's file: an unknown method, or a bank that has no hypotheses or one twice.
     """
-    if table.raw("method") == "single":
-        table.mistake("method", "is \"single\", which banks have replaced; make the profile again with 'fauio fit'")
-        return None
     if table.choice("method", METHODS) != "bank":
         return None
     hypotheses = tuple(entry.texts("faults") for entry in table.tables("hypotheses"))

@@ -29,14 +29,6 @@ _SIDECARS = ("-wal", "-shm", "-journal")
 # Errors that may pass: no room, a failing disk, a lock of another process.
 _PASSING = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
 _DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
-_SHELVED = """
-CREATE TABLE IF NOT EXISTS shelved (
-    vehicle TEXT NOT NULL,
-    channel TEXT NOT NULL,
-    until_ns INTEGER NOT NULL,
-    PRIMARY KEY (vehicle, channel)
-) STRICT
-"""
 # 'latest' is the number of an alarm's event with the largest seq, 'standing' is 1 while the alarm is active
 _SCHEMA = f"""
 BEGIN IMMEDIATE;
@@ -62,7 +54,12 @@ CREATE TABLE alarm (
 ) STRICT;
 CREATE INDEX alarm_standing ON alarm (standing, latest);
 CREATE TABLE vehicle (name TEXT PRIMARY KEY, last_seq INTEGER NOT NULL) STRICT;
-{_SHELVED};
+CREATE TABLE shelved (
+    vehicle TEXT NOT NULL,
+    channel TEXT NOT NULL,
+    until_ns INTEGER NOT NULL,
+    PRIMARY KEY (vehicle, channel)
+) STRICT;
 PRAGMA application_id = {APPLICATION_ID};
 PRAGMA user_version = {SCHEMA_VERSION};
 COMMIT;
@@ -193,8 +190,6 @@ def _prepare(path: Path, connection: sqlite3.Connection) -> None:
         raise DamagedError(" ".join(trouble.split()))
     # a read-only file can be opened; only writing fails
     connection.execute("BEGIN IMMEDIATE")
-    # journals of older versions lack this table
-    connection.execute(_SHELVED)
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("COMMIT")
 

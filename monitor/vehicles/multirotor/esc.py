@@ -33,7 +33,7 @@ from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated, Times,
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.signals import multirotor_channels
-from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds
+from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds, rounded
 from monitor.vehicles.multirotor.transform import TERMS, EscInputs, HeldMeans, deviation, terms
 
 FloatArray = NDArray[np.float64]
@@ -124,16 +124,16 @@ class _Identified:
         return {
             **{f"output{at}": float(n) for at, n in enumerate(self.numbers, start=1)},
             "curves": 2.0,
-            "least": _rounded(self.least),
-            "most": _rounded(self.most),
-            "doubt": _rounded(self.doubt),
-            "fastest": _rounded(self.fastest),
+            "least": rounded(self.least),
+            "most": rounded(self.most),
+            "doubt": rounded(self.doubt),
+            "fastest": rounded(self.fastest),
             "volts": self.volts,
             "delay_s": self.delay_s,
             "lag_s": self.lag_s,
-            **{name: _rounded(value) for name, value in zip(self.names, self.hover, strict=True)},
+            **{name: rounded(value) for name, value in zip(self.names, self.hover, strict=True)},
             **{
-                f"{name}_c{term}": _rounded(value)
+                f"{name}_c{term}": rounded(value)
                 for name, row in zip(self.names, self.curves.coefficients, strict=True)
                 for term, value in enumerate(row)
             },
@@ -364,7 +364,3 @@ def _place(channel: Channel) -> str:
 def _chosen(flight: Flight, columns: Sequence[int]) -> Flight:
     samples = flight.samples
     return Flight(replace(samples, u=samples.u[:, columns], lost=samples.lost[:, columns]), flight.armed)
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")

@@ -64,7 +64,7 @@ class EscSignals:
             replace(
                 channel,
                 name=f"prop{channel.name.removeprefix('rpm')}",
-                scale=_rounded(2.0 / usual),
+                scale=rounded(2.0 / usual),
                 offset=-1.0,
                 interpolation="mean",
             )
@@ -159,5 +159,6 @@ def _order(commands: NDArray[np.float64], speeds: NDArray[np.float64]) -> list[i
     return [int(turning[at]) for at in best]
 
 
-def _rounded(value: float) -> float:
+def rounded(value: float) -> float:
+    """Return a number to six digits, as a profile holds it."""
     return float(f"{value:.6g}")

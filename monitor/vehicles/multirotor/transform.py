@@ -8,7 +8,6 @@ over all controllers, from what it was in the flights that were fitted:
 
 in shares of those of hovering. A speed controller without a governor applies a share x of the battery's voltage, one
 with a governor undoes that (c3 = -c1); a propeller takes a power that its speed alone decides, nearly its cube.
-Profiles without ``curves = 2`` have the terms u, u^2 and u v for the first, w, w^2 and w v for the second.
 
 Measurements come some times a second and say nothing of what was in between, so each stands beside what was expected
 when it was made, and both are taken as means over a tick. The plant behind compares a tick's expectation with the
@@ -115,7 +114,7 @@ class EscInputs:
 
     Parameters are ``output1`` and so on: numbers of the motors' outputs; ``volts``: usual voltage, 0 where it is not
     measured; ``delay_s``, ``lag_s`` of speed behind command; for each motor n ``rpmN`` (that of hovering) and
-    ``rpmN_c0`` to ``rpmN_c3``; the same of ``ampsN`` for all or none; ``curves``: 2, or left out in profiles of old;
+    ``rpmN_c0`` to ``rpmN_c3``; the same of ``ampsN`` for all or none; ``curves``: 2;
     ``least``: smallest command that was flown, 0 where it is left out. Below it the curves were never seen: no
     evidence. ``fastest``: fastest change of a command that was flown, per second, left out for any. Beyond it what a
     command did between two messages is not known well enough: no evidence either. ``most``: largest command that was
@@ -130,11 +129,10 @@ class EscInputs:
         kinds = ("rpm", "amps") if currents else ("rpm",)
         curves = [f"{kind}{n}" for kind in kinds for n in numbers]
         terms_of = (f"{name}_c{term}" for name in curves for term in range(TERMS))
-        needed = {"delay_s", "lag_s", "volts", *outputs, *curves, *terms_of}
-        check_parameters("esc", parameters, needed, optional=("curves", "least", "fastest", "most", "doubt"))
-        if (curves_of := parameters.get("curves", 1.0)) not in (1.0, 2.0):
-            raise TelemetryError(f"transform 'esc': 'curves' is {curves_of:g}; 1 or 2")
-        self._terms = terms if curves_of == 2.0 else _terms_of_old
+        needed = {"delay_s", "lag_s", "volts", "curves", *outputs, *curves, *terms_of}
+        check_parameters("esc", parameters, needed, optional=("least", "fastest", "most", "doubt"))
+        if parameters["curves"] != 2.0:
+            raise TelemetryError(f"transform 'esc': 'curves' is {parameters['curves']:g}; it has to be 2")
         for key, most in (("delay_s", 2.0), ("lag_s", 2.0), ("volts", 1e4), ("least", 1.0)):
             if not 0.0 <= parameters.get(key, 0.0) <= most:
                 raise TelemetryError(f"transform 'esc': '{key}' is {parameters[key]:g}; from 0 to {most:g}")
@@ -164,7 +162,7 @@ class EscInputs:
             command, speed, *more = np.split(samples.u.T, self._raw)
             v = deviation(more.pop(), self._volts) if self._volts else np.zeros(len(samples))
             measured = np.vstack([speed, *more]) / self._units[:, None]
-            parts = self._terms(command, measured[: self._motors], v)
+            parts = terms(command, measured[: self._motors], v)
             expected = sum(c[:, None] * part[: len(c)] for c, part in zip(self._curves.T, parts, strict=True))
         # what commands that were not flown do to speeds passes as slowly as those commands themselves
         before = command[:, :1] if self._command is None else self._command
@@ -200,8 +198,3 @@ def terms(command: Array, speed: Array, v: Array) -> tuple[Array, ...]:
     of_speed = np.ones_like(command), applied, applied * applied, command * v
     of_current = np.ones_like(speed), power, power * speed, power * speed * speed
     return tuple(np.vstack(both) for both in zip(of_speed, of_current, strict=True))
-
-
-def _terms_of_old(command: Array, speed: Array, v: Array) -> tuple[Array, ...]:
-    causes = np.vstack([command, speed])
-    return np.ones_like(causes), causes, causes * causes, causes * v
