@@ -119,10 +119,13 @@ LOOK_ALIKES: dict[str, Flight] = {
     "a hard climb": Flight(motors=lambda at: [1.0 if 30.0 <= at < 33.0 else share for share in usual_motors(at)]),
     "a dash at full tilt": Flight(
         motors=one_motor(4, 1.0, 30.5, 33.0),
-        tilt_deg=between(30.2, 33.2, 45.0, 0.0),
-        tilt_wanted_deg=between(30.0, 33.0, 45.0, 0.0),
+        tilt_deg=between(30.2, 33.2, 29.0, 0.0),
+        tilt_wanted_deg=between(30.0, 33.0, 29.0, 0.0),
     ),
     "a dash at little tilt": Flight(motors=one_motor(4, 1.0, 30.5, 33.0), north_m=lambda at: 20.0 * at),
+    "a vehicle that leans against a wall": Flight(
+        motors=lambda at: [0.36, 0.34, 0.95, 0.80] if 30.0 <= at < 41.0 else usual_motors(at)
+    ),
     "a motor at its end in a spin": Flight(
         motors=one_motor(4, 1.0, 30.5, 33.0), yaw_deg=lambda at: 200.0 * min(max(at - 30.0, 0.0), 3.0)
     ),
@@ -693,6 +696,14 @@ def test_the_command_says_it_in_words_in_json_and_on_a_page(tmp_path: Path, caps
     assert (said["first"], said["wrong"], said["findings"]) == (None, False, [])
     assert fauio.main(["review", "--quick", bad, good, "--json"]) == 1
     assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+def test_a_page_draws_a_condition_of_the_whole_flight_over_the_whole(tmp_path: Path) -> None:
+    log, page = px4_log(tmp_path / "shaken.ulg", CASES["vibration"]), tmp_path / "shaken.html"
+    assert fauio.main(["review", "--quick", str(log), "--report", str(page)]) == 1
+    said = page.read_text()
+    windows = {part.split("]")[0] for part in said.split('"window":[')[1:]}
+    assert windows == {"0.0,59.9"}
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

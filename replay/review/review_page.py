@@ -51,6 +51,9 @@ def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
         yield element("p", f"Nothing: {why}.")
     for finding in review.findings:
         said = finding.judgement
+        # a condition of the whole flight shows over the whole
+        window = said.start_s - _BEFORE_S, said.start_s + _AFTER_S
+        start_s, end_s = window if said.event else (0.0, review.facts.duration_s)
         yield element(
             "article",
             element(
@@ -71,8 +74,8 @@ def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
                 review,
                 charts,
                 (*said.plots, *finding.rule.plots),
-                said.start_s - _BEFORE_S,
-                said.start_s + _AFTER_S,
+                start_s,
+                end_s,
                 said.start_s,
             ),
             class_=said.weight if said.weight != "information" else "",

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
-from replay.review.facts.log_facts import LogFacts, LogSignal, degrees_apart
+from replay.review.facts.log_facts import Floats, LogFacts, LogSignal, degrees_apart
 from replay.review.findings.loss_of_control import FAST_M_S, FULL, spans_in_control, speed
 from replay.review.findings.rule import Judgement, Rule
 
@@ -15,9 +16,9 @@ _APART = 0.25
 _LEAST_S = 1.0
 """ArduPilot's thrust-loss check waits as long; a hard turn has motors at their most for less."""
 
-_STEEP_DEG = 30.0
-"""Tilt wanted beyond which a vehicle gathers speed (6 m/s2 and more), whose drag and lift turn it as a weak motor does:
-default of PX4's and ArduPilot's position modes, half as much again in sports."""
+_STEEP_DEG = 25.0
+"""Tilt wanted beyond which a vehicle gathers speed (4.6 m/s2 and more), whose drag and lift turn it as a weak motor
+does: what sticks held at their end ask for is more (ArduPilot's ANGLE_MAX 30 degrees, PX4's MPC_MAN_TILT_MAX 35)."""
 _TURN_DEG, _TURN_S = 60.0, 1.0
 """As fast as autopilots turn a copter about the vertical (ArduPilot's ATC_SLEW_YAW 60 degrees/s, PX4's MPC_YAWRAUTO_MAX
 60): what turns faster is told to by sticks or spins, and its motors go to their ends for that."""
@@ -31,7 +32,7 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
     dashes |= speed(facts).at(motors.time_s)[:, 0] > FAST_M_S
     for k, name in enumerate(motors.names):
         others, own = np.delete(motors.values, k, axis=1), motors.values[:, k]
-        alone = (own > FULL) & (np.median(others, axis=1) < own - _APART) & ~dashes
+        alone = (own > FULL) & (np.median(others, axis=1) < own - _APART) & ~(dashes | _beside(own, others))
         spans = spans_in_control(facts, motors, alone, _LEAST_S)
         for start, end in [(start, end) for start, end in spans if _turned_deg(facts, start) <= _TURN_DEG][:1]:
             mean = float(np.median(others[(motors.time_s >= start) & (motors.time_s <= end)]))
@@ -42,6 +43,13 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
                 evidence=(f"{motors.origin}: {name} above {FULL:.2f}, median of the others {mean:.2f}",),
                 weight="critical",
             )
+
+
+def _beside(own: Floats, others: Floats) -> NDArray[np.bool_]:
+    """Return where another of n motors (m) is nearer to one's command (n,) than to the rest: they turn the vehicle."""
+    in_order = np.sort(others, axis=1)
+    second = in_order[:, -1]
+    return np.asarray(own - second < second - np.median(in_order[:, :-1], axis=1))
 
 
 def _turned_deg(facts: LogFacts, before_s: float) -> float:
@@ -56,7 +64,8 @@ RULE = Rule(
     physics="The autopilot gives the motor that lifts too little more and more command, until there is no more.",
     evidence="one motor at 95 % or more for a second, the others' median 25 % of full command lower",
     counter=(
-        "a hard climb takes all motors up, a turn in yaw the two that turn the same way",
+        "a hard climb takes all motors up; a turn in yaw, or what holds the vehicle, the two that turn the same way: "
+        "no other motor was nearer to this one than to the rest",
         f"it had turned about the vertical by no more than {_TURN_DEG:g} degrees in the second before",
         f"no more than {_STEEP_DEG:g} degrees of tilt were wanted, and its receiver moved by no more than {FAST_M_S:g} "
         "m/s: in a dash the air turns the vehicle, too",
