@@ -69,6 +69,20 @@ def test_too_slow_an_airspeed_is_no_evidence_and_no_division_by_zero() -> None:
     assert all(np.isfinite(sample.u).all() for sample in found)
 
 
+def test_an_airspeed_that_jumps_unfelt_is_no_evidence_for_two_seconds() -> None:
+    felt = 4.0 - 9.80665 * np.sin(0.1)
+
+    def evidence(after: list[float]) -> list[bool]:
+        speeds = [20.0] * 50 + after
+        raw = [plane(k, airspeed=speed, restart=k == 0) for k, speed in enumerate(speeds)]
+        return [not any(sample.lost) for sample in given_out(SurfaceInputs(SPEEDS, RATE_HZ, RATE_HZ), raw)][50:]
+
+    jumped = evidence([15.0] * 300)
+    assert not any(jumped[:200])
+    assert all(jumped[250:])
+    assert all(evidence([20.0 + felt * k / RATE_HZ for k in range(300)]))
+
+
 @given(speed=st.floats(-8.0, 8.0), yaw=st.floats(-pi, pi), steering=st.floats(-1.0, 1.0))
 def test_steering_acts_with_the_speed_along_the_heading_also_in_reverse(
     speed: float, yaw: float, steering: float

@@ -9,20 +9,29 @@ so that the plant behind it has constant coefficients.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from adapters.channels import STANDARD_GRAVITY
 from monitor.core.lagged import cosines, sines
 from monitor.sampling.scaled import Array, Scaled, ScaledInputs
 
 _SMALLEST_SCALE = 0.2
 """Least s to divide by, where the path's curvature and the drag grow without bound; chosen: no plane flies at a fifth
 of its reference speed, so no evidence is altered."""
+_UNFELT, _WITHIN_S, _DOUBT_S = 0.2, 0.3, 2.0
+"""Change of the airspeed that the accelerometer does not feel, as a share of the reference speed, within how many
+seconds, from which on the airspeed is in doubt, and for how long: until its own observer has compared it with the GPS.
+Chosen: gusts of a storm reach a tenth so soon, a pull-up of 3 g leaves half of that unexplained."""
 
 
 class SurfaceInputs(ScaledInputs):
     """Samples of a plane: surfaces scaled by dynamic pressure, and what else turns the airframe.
+
+    While the airspeed has just jumped the effects are not known: such samples are no evidence.
 
     Inputs are, after the four actuators, ``pressure`` s^2 (trims), the damping (s - 1) rate beyond that at the
     reference speed, the rates s that couple roll and yaw, lateral and vertical specific force (they stand for
@@ -60,6 +69,13 @@ class SurfaceInputs(ScaledInputs):
     )
     outputs: ClassVar[tuple[str, ...]] = ("roll_rate", "pitch_rate", "yaw_rate", "forward_acceleration")
 
+    def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
+        super().__init__(parameters, signal_rate_hz, rate_hz)
+        self._before = np.empty((round(_WITHIN_S * signal_rate_hz), 2))
+        self._doubt = round(_DOUBT_S * signal_rate_hz)
+        self._doubted = -self._doubt  # row of the last jump, counted from the latest one
+        self._signal_rate_hz, self._begun = signal_rate_hz, False
+
     def scale(self, signals: Array) -> Scaled:
         """Return inputs, then outputs, before timing and grouping; ``signals`` (number of signals, n)."""
         aileron, elevator, rudder, throttle, airspeed, roll, pitch = signals[:7]
@@ -88,4 +104,22 @@ class SurfaceInputs(ScaledInputs):
             yaw_rate,
             forward,
         ]
-        return Scaled(columns, airspeed >= self.minimum)
+        jumped = self._jumped(airspeed, forward - STANDARD_GRAVITY * sines(pitch))
+        return Scaled(columns, (airspeed >= self.minimum) & ~jumped)
+
+    def _jumped(self, airspeed: Array, acceleration: Array) -> NDArray[np.bool_]:
+        """Return where the airspeed changed lately as the acceleration along the body does not."""
+        now = np.column_stack([airspeed, acceleration])
+        if not self._begun and len(now):
+            self._before[:], self._begun = now[0], True
+        both = np.vstack([self._before, now])
+        then, lasted = both[: len(now)], len(self._before) / self._signal_rate_hz
+        felt = 0.5 * lasted * (now[:, 1] + then[:, 1])
+        jumps = np.abs(now[:, 0] - then[:, 0] - felt) > _UNFELT * self.reference
+        jumps &= then[:, 0] >= self.minimum  # what is slower is none anyway
+        rows = np.arange(1, len(now) + 1)
+        since = rows - np.maximum.accumulate(np.where(jumps, rows, self._doubted))
+        self._before = both[len(both) - len(self._before) :]
+        if len(now):
+            self._doubted = -int(since[-1])
+        return since < self._doubt
