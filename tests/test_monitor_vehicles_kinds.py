@@ -44,5 +44,6 @@ def test_the_autopilot_says_which_kind_is_likely(said: str, names: list[str]) ->
 
 
 def test_transforms_and_messages_of_all_kinds_are_known() -> None:
-    assert set(transform_classes()) == {"surfaces", "drive", "strapdown", "esc", "vibration", "imbalance", "battery"}
+    known = {"surfaces", "airspeed", "drive", "strapdown", "esc", "vibration", "imbalance", "battery"}
+    assert set(transform_classes()) == known
     assert {"ATTITUDE", "SERVO_OUTPUT_RAW", "GPS_RAW_INT", "VFR_HUD", "HEARTBEAT"} <= fit_messages()

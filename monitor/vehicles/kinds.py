@@ -34,11 +34,15 @@ KINDS = (
     ),
     VehicleKind(
         "plane",
-        watches="aileron, elevator, rudder, throttle",
+        watches="aileron, elevator, rudder, throttle, airspeed",
         fit="monitor.vehicles.plane.fit:fit_plane",
         preview="monitor.vehicles.plane.signals:preview",
         messages="monitor.vehicles.plane.signals:MESSAGES",
-        transforms={"surfaces": "monitor.vehicles.plane.transform:SurfaceInputs"},
+        transforms={
+            "surfaces": "monitor.vehicles.plane.transform:SurfaceInputs",
+            "airspeed": "monitor.vehicles.plane.airspeed:AirspeedInputs",
+        },
+        further=("monitor.vehicles.plane.airspeed:fit_airspeed",),
         type_words=("fixed_wing", "vtol"),
     ),
     VehicleKind(

@@ -13,6 +13,7 @@ from monitor.vehicles.base import Preview
 from monitor.vehicles.plane.transform import SurfaceInputs
 
 _AIRSPEED_MESSAGE = "VFR_HUD"
+AIRSPEED = Channel("airspeed", _AIRSPEED_MESSAGE, ("airspeed",))
 
 # Functions and kinds as SRV_Channel.h of ArduPilot and CA_SV_CS*_TYPE of PX4 number them; of two
 # ailerons or motors the left one.
@@ -23,7 +24,8 @@ _ACTUATORS = (
     Actuator("rudder", 4, (21,), (4,)),
 )
 
-MESSAGES = EFFECT_MESSAGES | {_AIRSPEED_MESSAGE}
+MESSAGES = EFFECT_MESSAGES | {_AIRSPEED_MESSAGE, "SYS_STATUS"}
+"""The last says whether there is an airspeed sensor."""
 
 
 def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
@@ -36,8 +38,7 @@ def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
     """
     if not all(survey.counts.get(_AIRSPEED_MESSAGE) for survey in surveys):
         raise TelemetryError(f"no airspeed in every log; record {_AIRSPEED_MESSAGE} at 10 Hz or more")
-    airspeed = {"airspeed": Channel("airspeed", _AIRSPEED_MESSAGE, ("airspeed",))}
-    return effect_signals(surveys, SurfaceInputs.signals, _ACTUATORS, airspeed)
+    return effect_signals(surveys, SurfaceInputs.signals, _ACTUATORS, {"airspeed": AIRSPEED})
 
 
 def preview(survey: Survey) -> Preview:

@@ -1,0 +1,182 @@
+"""The airspeed observer of a plane: whether the pitot tube agrees with GPS and wind.
+
+The indicated airspeed, taken to a true one by the altitude and a scale that is learned, is compared with the speed
+through the air that the GPS's velocity and the wind make; the wind is followed (:mod:`monitor.core.airspeed`). The
+compass is asked at the start alone. A wrong airspeed scales what surfaces are expected to do: they are not accused
+beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.channels import Channel
+from adapters.errors import TelemetryError
+from adapters.sample import Given, Samples
+from gains.synthesis.convex import design_convex
+from monitor.alarms.excuse import ExcuseRule
+from monitor.core.airspeed import AirspeedCore
+from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
+from monitor.fitting.fitted import FitRequest, Fitted
+from monitor.fitting.flights import Flight, raw_flights, transformed
+from monitor.fitting.survey import Survey
+from monitor.fitting.thresholds import Times, healthy_evidence
+from monitor.sampling.gate import GateRule
+from monitor.sampling.scaled import check_parameters, raw_per_sample
+from monitor.sampling.transform import LiftRule, SampleSource, TransformRule
+from monitor.vehicles.inertial.signals import common_channels
+from monitor.vehicles.plane.signals import AIRSPEED
+from monitor.vehicles.plane.transform import SurfaceInputs
+
+Array = NDArray[np.float64]
+
+OBSERVER = "airspeed"
+_PARAMETERS = ("scale", "noise", "level", "minimum_speed")
+_GPS = ("gps_speed", "gps_course", "gps_alt")
+_SIGNALS = ("airspeed", *_GPS, "yaw")
+_SENSORS = 0x10
+"""MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE."""
+_FASTEST_HZ = 10.0
+"""Chosen: autopilots filter airspeed by 1 to 2 Hz, GPS receivers have 5 to 10 fixes a second."""
+_SLOWEST = 0.5
+"""Share of the usual speed below which a plane is on the ground, as for its surfaces."""
+_SMALLEST, _CRITICAL = 0.1, 0.3
+"""Shares of the usual speed that are worth an alarm, and critical. Chosen: a tenth makes dynamic pressure a fifth
+larger, and with it what every surface is expected to do; planes are flown at 1.3 times their stall speed and more, so
+an airspeed that is 30 % too fast stalls one."""
+_LEVEL = 0.5
+"""Share of that from which the sensor's error is let free: before its alarm, beyond what gusts leave in a second."""
+_TIMES = Times(fast_s=0.2, raise_s=0.7, slow_s=3.0, clear_s=1.5)
+"""Chosen: gusts last for a second; twice the smallest size is none."""
+_STANDARD, _SCALES = 1.0, 0.1
+"""Scale of a calibrated sensor, and its standard deviation where flights do not turn: ArduPilot's ratio is off by 20 %
+where nobody learned it, the speed by the root of that."""
+_LEAST_NOISE = 0.2
+"""Least deviation, m/s, in still air: that of the velocity by GPS and of a pitot tube at 15 m/s."""
+_ROUNDS = 10
+"""Gauss-Newton steps; from no wind at all five reach the optimum to rounding."""
+_FAULT_RATE = 10.0
+"""m/s per second by which the error may grow: chosen, half the speed in a second."""
+_EXCUSED_S = 5.0
+"""How long after its end it explains what surfaces showed: so long their effectiveness is held at most."""
+
+
+class AirspeedInputs:
+    """Samples of the airspeed: the true one that is expected, and the measured one.
+
+    Parameters are ``scale``, true over indicated airspeed at sea level; ``noise``, the deviation of the difference in
+    the fitted flights, m/s; ``level``, its mean from which the sensor's error is let free; ``minimum_speed``. Rates and
+    errors are those of :class:`monitor.sampling.scaled.ScaledInputs`.
+    """
+
+    signals, inputs, outputs = _SIGNALS, ("expected",), ("airspeed",)
+
+    def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
+        check_parameters("airspeed", parameters, _PARAMETERS)
+        if not all(0.0 < parameters[name] < 1e4 for name in _PARAMETERS):
+            raise TelemetryError("transform 'airspeed': a parameter is not above 0, or absurdly large")
+        if raw_per_sample("airspeed", signal_rate_hz, rate_hz) != 1:
+            raise TelemetryError("transform 'airspeed': the observer's rate is not that of its signals")
+        self._core = AirspeedCore(1.0 / rate_hz, *(parameters[name] for name in _PARAMETERS))
+
+    def run(self, samples: Samples) -> Given:
+        """Return the observer's samples, one for each raw one; one marked ``restart`` forgets the wind."""
+        expected, measured, lost, beyond = self._core.run(samples)
+        u, y = expected[:, None], measured[:, None]
+        unknown = lost & ~samples.lost.any(axis=1)
+        return Given(replace(samples, u=u, y=y, lost=np.column_stack([lost, lost])), beyond=beyond, unflown=unknown)
+
+
+def fit_airspeed(request: FitRequest, gate: GateRule) -> Fitted | None:
+    """Learn on healthy recordings how well airspeed, GPS and wind agree, design the observer, calibrate its alarm.
+
+    None where there is no airspeed sensor or no velocity by GPS.
+
+    Raises
+    ------
+    ModelError
+        Too little healthy flight.
+    """
+    surveys = request.surveys
+    known = {channel.name: channel for channel in common_channels(surveys).channels}
+    if not (set(_GPS) <= set(known) and all(_has_sensor(survey) for survey in surveys)):
+        return None
+    channels: tuple[Channel, ...] = (AIRSPEED, *(known[name] for name in _SIGNALS[1:]))
+    rate_hz = _FASTEST_HZ
+    raw = raw_flights(request.logs, channels, rate_hz, gate)
+    parameters = _learned(raw, rate_hz)
+    lift = LiftRule("wings") if any(survey.is_vtol for survey in surveys) else None
+    source = SampleSource(transform=TransformRule(OBSERVER, rate_hz, parameters), signals=channels, lift=lift)
+    flights = [transformed(flight, AirspeedInputs(parameters, rate_hz, rate_hz)) for flight in raw]
+    smallest, critical = (share * parameters["minimum_speed"] / _SLOWEST for share in (_SMALLEST, _CRITICAL))
+    expected = Expectation("airspeed", parameters["noise"], "airspeed", "m/s", smallest, _FAULT_RATE)
+    plant = expectation_plant(request.name, rate_hz, AirspeedInputs.inputs, [expected])
+    bare = bare_observer(OBSERVER, plant, design_convex(plant), source, flights)
+    evidence = healthy_evidence(bare.profile(), gate, flights)
+    [alarm] = pooled_alarms(bare, evidence, ["airspeed"], smallest, critical, _TIMES)
+    alarm = replace(alarm, rule=replace(alarm.rule, kind="sensor"))
+    sensors = ("gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east")
+    return replace(
+        bare,
+        alarms=(alarm,),
+        excuses=(
+            ExcuseRule(SurfaceInputs.actuators, ("airspeed",), _EXCUSED_S, precedes=True),
+            ExcuseRule(("airspeed",), sensors, _EXCUSED_S, precedes=True),
+        ),
+        findings={"rate_hz": rate_hz, **parameters},
+        lines=(
+            f"true airspeed {parameters['scale']:.3f} times the indicated one at sea level, within "
+            f"{parameters['noise']:.2g} m/s of what GPS and wind let expect (standard deviation); alarm from "
+            f"{alarm.rule.threshold:.1f} m/s",
+        ),
+    )
+
+
+def _has_sensor(survey: Survey) -> bool:
+    """Return whether the vehicle has an airspeed sensor: else its autopilot sends what GPS and wind let expect."""
+    present = survey.examples.get("SYS_STATUS", {}).get("onboard_control_sensors_present")
+    return not isinstance(present, int) or bool(present & _SENSORS)
+
+
+def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float]:
+    """Return the transform's parameters."""
+    flown = [flight.samples.u[flight.armed & ~flight.samples.lost.any(axis=1)] for flight in raw]
+    usual = float(np.median(np.concatenate(flown)[:, 0])) if sum(map(len, flown)) else 0.0
+    moving = [rows[rows[:, 0] > _SLOWEST * usual] for rows in flown]
+    check_length(sum(map(len, moving)), rate_hz, "airspeed and GPS")
+    scale, noise = _scale([rows for rows in moving if len(rows)], rate_hz)
+    values = (scale, noise, _LEVEL * _SMALLEST * scale * usual, _SLOWEST * scale * usual)
+    return {name: float(f"{value:.4g}") for name, value in zip(_PARAMETERS, values, strict=True)}
+
+
+def _scale(flights: Sequence[Array], rate_hz: float) -> tuple[float, float]:
+    """Return the scale by which all flights, each with a wind of its own, agree best, and what is left, m/s."""
+    x = np.zeros(1 + 2 * len(flights))
+    x[0], noise = _STANDARD, 1.0
+    for _ in range(_ROUNDS):
+        normal, right, total, rows = np.zeros((len(x), len(x))), np.zeros(len(x)), 0.0, 0
+        for number, (airspeed, speed, course, altitude, _) in enumerate(values.T for values in flights):
+            wind = slice(1 + 2 * number, 3 + 2 * number)
+            north, east = (
+                speed * turn(np.radians(course)) - w for turn, w in zip((np.cos, np.sin), x[wind], strict=True)
+            )
+            climb = np.gradient(altitude) * rate_hz if len(altitude) > 1 else np.zeros(len(altitude))
+            true = airspeed * (1.0 - 2.25577e-5 * altitude) ** -2.12794
+            s = np.maximum(np.sqrt(north * north + east * east + climb * climb), 1e-6)
+            J = np.zeros((len(s), len(x)))
+            J[:, 0], J[:, wind] = true, np.column_stack([north / s, east / s])
+            off = x[0] * true - s
+            normal, right, total, rows = normal + J.T @ J, right - J.T @ off, total + float(off @ off), rows + len(s)
+        # a second's samples count as one
+        noise = max(float(np.sqrt(total / rows)), _LEAST_NOISE)
+        doubt = noise * noise * rate_hz
+        normal[0, 0] += doubt / _SCALES**2
+        right[0] += doubt / _SCALES**2 * (_STANDARD - x[0])
+        normal[1:, 1:] += doubt / 10.0**2 * np.eye(len(x) - 1)
+        right[1:] -= doubt / 10.0**2 * x[1:]
+        x += np.linalg.solve(normal, right)
+    return float(x[0]), noise
