@@ -70,7 +70,7 @@ def gusty(data: Path) -> list[Message]:
     return [m for m in messages if m.received_ns < messages[0].received_ns + 25_000_000_000]
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_bursts_on_a_healthy_flight_are_coasted_closer_than_a_straight_line_and_raise_nothing(
     quad_profile: Profile, gusty: list[Message], seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

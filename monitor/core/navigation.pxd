@@ -78,8 +78,8 @@ cdef class Navigation:
     # and a delay turn it; how late it is against the gyros, as fitted and as found; the largest rate of late.
     cdef double _field_delay_s, _field_timing_s, _field_noise, _field_walk, _direction, _declined, _strength
     cdef double _back_s, _back_off, _field_late_s, _whirl
-    # for how long the IMU has lacked
-    cdef double _unseen_s
+    # for how long the IMU has lacked; for how long yet a field may be older than its tick, as measurements were lost
+    cdef double _unseen_s, _lined_s
     # whether a gyro was at fault, whose bias an estimator may have learned
     cdef bint _learned
     cdef double[3] _field
@@ -106,7 +106,7 @@ cdef class Navigation:
 
     cdef void restart(self) noexcept
     cdef bint go_on(
-        self, const double* force, const double* rate, const double* R, const double* field, bint lacks,
+        self, const double* force, const double* rate, const double* R, const double* field, bint lacks, bint lined,
         double* acceleration
     ) noexcept
     cdef void align(self, const double* force, const double* rate, double* aligned, double* swing) noexcept

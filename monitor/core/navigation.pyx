@@ -50,6 +50,8 @@ from libc.string cimport memcmp, memcpy, memmove, memset
 
 from adapters.channels import STANDARD_GRAVITY
 
+from monitor.core.sampling import RAW_LINE_S
+
 cdef double _GRAVITY = STANDARD_GRAVITY
 
 # Errors at the start: of an attitude that an autopilot has, about the horizontal axes and of its heading, rad; of the
@@ -73,6 +75,8 @@ cdef double _HEADING_NOISE = 0.1
 cdef double _FIELD_TIMING_S = 0.02
 # The same where flights showed no delay, as hovering does not: the deviation of any of those tried (0.28 s).
 cdef double _FIELD_UNTOLD_S = 0.08
+# How late it may be around lost measurements, s: as long as the longest line that counts as measured.
+cdef double _LINE_S = RAW_LINE_S
 # Least step of the field's direction, rad, that is a compass at fault: half of the smallest that is worth an alarm.
 cdef double _FIELD_LEAST = 0.09
 # The same of the GPS's velocity, m/s: the least motion that is worth an alarm.
@@ -208,14 +212,15 @@ cdef class Navigation:
         memset(self._missed, 0, sizeof(self._missed))
         memset(self._field, 0, sizeof(self._field))
         memset(self._tilting, 0, sizeof(self._tilting))
-        self._declined = self._back_s = self._back_off = self._whirl = self._late_s = self._unseen_s = 0.0
+        self._declined = self._back_s = self._back_off = self._whirl = self._late_s = 0.0
+        self._unseen_s = self._lined_s = 0.0
         self._field_late_s = self._field_delay_s
         self._pointed = self._aimed = False
         self._ticks = self._count = self._helpless = 0
         self._turned = False
 
     cdef bint go_on(
-        self, const double* force, const double* rate, const double* R, const double* field, bint lacks,
+        self, const double* force, const double* rate, const double* R, const double* field, bint lacks, bint lined,
         double* acceleration
     ) noexcept:
         """Go on by a tick; fill in the acceleration north, east, down. Return whether a fix is due to be met."""
@@ -288,6 +293,7 @@ cdef class Navigation:
         memcpy(self._rate, rate, sizeof(self._rate))
         memcpy(self._force, force, sizeof(self._force))
         memcpy(self._aligned, aligned, sizeof(aligned))
+        self._lined_s = _LINE_S if lined else fmax(0.0, self._lined_s - self._dt)
         self._ticks += 1
         self.point(field, R)
         return self._ticks >= self._every
@@ -369,7 +375,7 @@ cdef class Navigation:
         cdef double[3] innovation
         cdef double[3] variance
         cdef Signature* newest
-        cdef double off
+        cdef double off, timing_s
         cdef bint steps = False
         cdef int i, h
         if self._ticks == 0:
@@ -409,7 +415,8 @@ cdef class Navigation:
                     innovation[2], variance[2] = self._direction, _HEADING_NOISE * _HEADING_NOISE
         elif self._pointed and self.believed():
             off = wrapped(self._direction - self._declined)
-            variance[2] = self._field_noise * self._field_noise + (_FIELD_TIMING_S * self._whirl) ** 2
+            timing_s = _LINE_S if self._lined_s > 0.0 else _FIELD_TIMING_S
+            variance[2] = self._field_noise * self._field_noise + (timing_s * self._whirl) ** 2
             if not self.steps(2, off, variance[2] + self.field_spread(), _FIELD_LEAST):
                 innovation[2] = off
             else:

@@ -344,7 +344,7 @@ cdef class StrapdownCore:
         self._fixes = _Delay.__new__(_Delay, gps_ticks, 6)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
         self._levels = _Delay.__new__(_Delay, compass_ticks, 8)
-        self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 19)
+        self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 20)
         self._vertical = _Vertical(dt)
         self._attitude_share, self._angle_s = attitude_share, angles_s
         self._learned = learned
@@ -410,6 +410,7 @@ cdef class StrapdownCore:
         cdef const long long[:] time = samples.time_ns, known = samples.known_ns
         cdef const unsigned char[:] restart = samples.restart.view(np.uint8)
         cdef const unsigned char[:, :] lost = samples.lost.view(np.uint8)
+        cdef const unsigned char[:] complete = samples.complete.view(np.uint8)
         cdef Py_ssize_t row, count = 0, most = 0
         cdef double[_WIDEST] now
         cdef double[_WIDEST] places
@@ -439,7 +440,7 @@ cdef class StrapdownCore:
             if restart[row] or self._unstuck:
                 self.restart()
             self.find_lacking(&raw[row, 0], &lost[row, 0], lacks)
-            if not self.tick(&raw[row, 0], lacks, now, places, meant):
+            if not self.tick(&raw[row, 0], lacks, not complete[row], now, places, meant):
                 continue
             self._unseen += forgotten * ((lacks[_IMU] or lacks[_GPS]) - self._unseen)
             if self._has_before and self._begun:
@@ -542,15 +543,18 @@ cdef class StrapdownCore:
         else:
             self._stills = 0
 
-    cdef bint tick(self, const double* signals, const bint* lacks, double* u, double* y, double* meant) noexcept:
+    cdef bint tick(
+        self, const double* signals, const bint* lacks, bint lined, double* u, double* y, double* meant
+    ) noexcept:
         """Go on by a tick; return whether every delay line is full.
 
-        Fills in u of this tick, the integrals y before washing, and the means of u since the tick before.
+        Fills in u of this tick, the integrals y before washing, and the means of u since the tick before. ``lined``:
+        measurements were lost around the tick, so that some signals lie on a line between two of them.
         """
         cdef const double* rate = signals + 3
         cdef const double* sensors = signals + 9
         cdef double[9] R
-        cdef double[19] values
+        cdef double[20] values
         cdef double[3] turning
         cdef double* motion
         cdef double* sensed = NULL
@@ -610,6 +614,7 @@ cdef class StrapdownCore:
             memset(values + 16, 0, sizeof(self._field))
             if self._mag:
                 memcpy(values + 16, sensors + self._gps * (3 + self._speeds) + self._baro, sizeof(self._field))
+            values[19] = lined
             sensed = self._sensed.push(values)
         full = motion != NULL and level != NULL
         if self._gps:
@@ -707,7 +712,7 @@ cdef class StrapdownCore:
         cdef bint lacks = sensed[15] != 0.0, stands = self.rests(), due, news
         if not self._navigation._begun and (lacks or fix[5] != 0.0):
             return
-        due = self._navigation.go_on(sensed, sensed + 3, sensed + 6, sensed + 16, lacks, motion)
+        due = self._navigation.go_on(sensed, sensed + 3, sensed + 6, sensed + 16, lacks, sensed[19] != 0.0, motion)
         self._navigation.differ(sensed + 6, self._apart)
         news = memcmp(fix, self._fix, sizeof(self._fix)) != 0
         # The first fix that moves is met as it comes, and with it the later ones, not the lines between them.
