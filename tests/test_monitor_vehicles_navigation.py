@@ -174,6 +174,20 @@ def led(raw: NDArray[np.float64], away: NDArray[np.float64]) -> NDArray[np.float
     return raw
 
 
+def gps_apart(raw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return by how much speed and acceleration are apart from the GPS, washed out as the outputs are (n, 4)."""
+    transform = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
+    samples = transform.run(raw_samples(raw, 0)).samples
+    washed = np.zeros((len(samples), 4))
+    for i, name in enumerate(("gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east")):
+        tau = DEFAULTS["washout_s" if i < 2 else "velocity_washout_s"]
+        keep = np.exp(-1.0 / (tau * truth.RATE_HZ))
+        for k in range(1, len(washed)):
+            washed[k, i] = keep * washed[k - 1, i] + tau * (1.0 - keep) * samples.u[k - 1, i]
+        washed[:, i] -= samples.y[:, transform.outputs.index(name)]
+    return washed
+
+
 def test_a_velocity_of_the_gps_that_jumps_is_no_fault_of_the_imu() -> None:
     raw = noisy(45.0, 4)
     assert others(named(led(raw, np.where(np.arange(len(raw)) > ONSET, 1.0, 0.0))), "") == 0.0
@@ -188,24 +202,21 @@ def test_a_velocity_of_the_gps_that_is_led_away_is_no_fault_of_the_imu_and_right
     # what was led away with its velocity
     spoofed[:, 9] += np.where(away > 0.0, 0.25 * since**2, 0.0) / truth.metres_per_degree(truth.HOME[0])[0]
     assert others(named(spoofed), "") == 0.0
-    apart = []
-    for signals in (raw, spoofed):
-        transform = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
-        samples = transform.run(raw_samples(signals, 0)).samples
-        # speed and acceleration, washed out as the outputs are
-        washed = np.zeros((len(samples), 4))
-        for i, name in enumerate(("gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east")):
-            tau = DEFAULTS["washout_s" if i < 2 else "velocity_washout_s"]
-            keep = np.exp(-1.0 / (tau * truth.RATE_HZ))
-            for k in range(1, len(washed)):
-                washed[k, i] = keep * washed[k - 1, i] + tau * (1.0 - keep) * samples.u[k - 1, i]
-            washed[:, i] -= samples.y[:, transform.outputs.index(name)]
-        apart.append(washed)
-    difference = np.abs(apart[1] - apart[0])
+    difference = np.abs(gps_apart(spoofed) - gps_apart(raw))
     # a second before it ends nothing of it was forgotten; a second later nothing is left
     assert difference[(back - 100) // 4, 2] == pytest.approx(14.5, rel=0.2)
     assert difference[(back + 100) // 4 :, :2].max() < 0.5
     assert difference[(back + 100) // 4 :, 2:].max() < 0.3
+
+
+@pytest.mark.parametrize(("size", "pulse"), [(0.05, 0.3), (0.1, -0.2)])
+def test_a_tilt_that_a_gyros_fault_leaves_is_no_gps_that_is_led_away(size: float, pulse: float) -> None:
+    raw = noisy(75.0, 4)
+    raw[ONSET:, 4] += size
+    uneven = raw.copy()
+    uneven[3000:3050, 4] += pulse
+    difference = np.abs(gps_apart(uneven) - gps_apart(raw))
+    assert difference[900:].max() < 1.0
 
 
 def test_the_accelerometers_fault_is_an_output_and_none_of_it_is_left_in_the_accelerations() -> None:

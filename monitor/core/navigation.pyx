@@ -660,6 +660,11 @@ cdef class Navigation:
                 and (which >= _JUMP or fabs(size) < _MOST[which >= 3])
                 and (which < _RAMP or signature.age * step_s > _RAMPS_S)
             ):
+                if which >= _RAMP and turning:
+                    # So does a tilt, which is left where the gyro's fault was another one than is believed.
+                    self.restart()
+                    self.returned = True
+                    return
                 self.jump(signature, which, size, 1.0 / signature.energy[which])
                 return
         if self._helpless > _HELPLESS:
