@@ -146,6 +146,19 @@ def test_a_gap_while_the_vehicle_speeds_up_leaves_the_vertical_velocity_as_it_is
     assert abs(gps - baro - jump)[(t > 3.2) & (t < 3.4)].max() < 0.1 * jump + 0.2
 
 
+@pytest.mark.parametrize(("moved", "counted"), [(0.2, 0.0), (0.5, 0.5)])
+def test_a_way_that_a_gap_may_hide_is_no_jump_of_the_gps(moved: float, counted: float) -> None:
+    raw, lost = truth.signals(6.0), frozenset(range(300, 400))
+    jumped = raw.copy()
+    jumped[400:, 9] += moved / truth.metres_per_degree(truth.HOME[0])[0]
+    transform = Strapdown({}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    north = transform.outputs.index("gps_north")
+    without, found = (
+        np.array([sample.y[north] for sample in truth.fed(transform, signals, lost=lost)]) for signals in (raw, jumped)
+    )
+    assert np.mean(found[110:120] - without[110:120]) == pytest.approx(counted, abs=0.03)
+
+
 @pytest.mark.parametrize(("lost", "larger"), [(range(0), 1.0), (range(500, 600), 1.58), (range(500, 2000, 5), 2.04)])
 def test_errors_are_larger_by_the_share_of_time_that_was_not_seen_until_it_is_forgotten(
     lost: range, larger: float

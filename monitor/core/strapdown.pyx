@@ -36,6 +36,11 @@ cdef double _LONGEST_S = 1.5
 # off do. Measured on four healthy flights: after 1 to 2.5 s the way is 0.05 to 0.16 m off (root of the mean square).
 cdef double _UNSEEN_ACCELERATION = 0.3
 cdef double _UNSEEN_RATE = 0.02
+# How far off the way may be between two known velocities while neither GPS nor IMU tells, m for a time in seconds to
+# the power of 2.5: twice sqrt(12 / 720), the standard deviation for accelerations of which the navigation's velocity is
+# off by 1 m/s after a second (a random walk with known ends, of 12 m^2/s^5). A walk of the GPS of 0.5 m/s is more in
+# every gap up to 1.5 s, thrice that deviation would forgive it from 1.2 s on.
+cdef double _UNSEEN_WAY = 0.26
 # How fast the magnetic field turns about the vertical from which on it is not compared, rad/s: half of the step of the
 # delays that a fit tries, 0.02 s, then makes half of the smallest fault of a compass that is worth an alarm, 0.09 rad.
 cdef double _WHIRLING = 4.5
@@ -878,7 +883,7 @@ cdef class StrapdownCore:
                 turn = 0.5 * lacked_s * (self._anchor[2 + i] - self._added[2 + i])
                 meant[i] = meant[i] + turn / self._dt
                 self._added[i] = self._added[i] + turn
-                jump, least = jump - turn, max(least, fabs(turn))
+                jump, least = jump - turn, max(_UNSEEN_WAY * pow(lacked_s, 2.5), fabs(turn))
             elif moves and 2 <= i < 4:
                 # Without the accelerometer nothing speaks against the velocity.
                 least = INFINITY if blind else _UNSEEN_ACCELERATION * lacked_s
