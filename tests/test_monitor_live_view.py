@@ -35,6 +35,17 @@ from monitor.views.live_view import LiveView, rerun_binary
 EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
 
 FakeRerun = Callable[[str], Path]
+ROOT = Path(__file__).parent.parent
+SERVER = """
+import sys, time
+from monitor.views.live_view import RerunProcess
+process = RerunProcess("serve", int(sys.argv[1]), 64)
+print(process._process.pid, process._guard.pid, flush=True)
+if sys.argv[2] == "close":
+    process.close()
+else:
+    time.sleep(600)
+"""
 
 
 def tables(path: Path, **selected: Any) -> dict[str, dict[str, list[Any]]]:
@@ -267,3 +278,34 @@ def test_a_flight_with_a_motor_fault_shows_its_thresholds_and_its_alarm(
     worst = np.abs(np.array(found[f"{root}/motors/quiet/estimate"]["Scalars:scalars"])).max(axis=0)
     assert worst.argmax() == pipeline.layouts[0].faults.index("motor2")
     assert set(needed) & {name.removeprefix(f"{root}/raw/") for name in found}
+
+
+def lives(process: int) -> bool:
+    """Return whether a process runs; one that has ended may wait to be noticed by its parent."""
+    command = ["ps", "-o", "stat=", "-p", str(process)]
+    state = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    return bool(state) and not state.startswith("Z")
+
+
+def start_server(then: str) -> tuple[subprocess.Popen[str], list[int]]:
+    """Start a process that serves; return it, and the ids of the server and of what watches over it."""
+    command = [sys.executable, "-c", SERVER, str(free_port()), then]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    parent = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    assert parent.stdout is not None
+    return parent, [int(word) for word in parent.stdout.readline().split()]
+
+
+def test_a_server_does_not_outlive_a_killed_parent() -> None:
+    parent, children = start_server("wait")
+    with parent:
+        assert all(map(lives, children))
+        parent.send_signal(signal.SIGKILL)
+    until(lambda: not any(map(lives, children)))
+
+
+def test_a_server_that_is_closed_leaves_nobody_behind() -> None:
+    parent, children = start_server("close")
+    with parent:
+        assert parent.wait() == 0
+    assert not any(map(lives, children))

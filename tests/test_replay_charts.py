@@ -12,7 +12,7 @@ from synthetic_run import LAYOUT, THRESHOLDS, event, trace
 
 from monitor.trace import Trace, TraceBuilder
 from monitor.views.panels import RunView
-from replay.reports.charts import BINS, Charts, observer_charts, origin_ns
+from replay.reports.charts import BINS, Charts, observer_charts, origin_ns, unwatched
 
 EVENTS = [event(1020, "raised"), event(1300, "cleared"), event(1400, "raised", id="02J", severity="critical")]
 
@@ -109,3 +109,14 @@ def test_no_name_ends_the_data() -> None:
     text = charts.to_json()
     assert "<" not in text
     assert json.loads(text)[1]["series"][0]["name"] == "</script><script>alert(1)</script>"
+
+
+def test_where_there_are_no_samples_nothing_was_watched() -> None:
+    assert unwatched(trace(), 0, 20.0) == [
+        pytest.approx((0.0, 1.0)),
+        pytest.approx((5.99, 7.0)),
+        pytest.approx((14.99, 20.0)),
+    ]
+    never = trace()
+    never.armed[:] = False
+    assert unwatched(never, 0, 20.0) == [(0.0, 20.0)]

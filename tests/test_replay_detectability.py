@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib import image
 
 import fauio
 from adapters.batch import pack
@@ -168,6 +167,8 @@ def test_a_window_knows_the_phase_of_flight_from_before(quad_profile: Profile) -
 
 
 def has_colour(path: Path, colour: str) -> bool:
+    from matplotlib import image
+
     wanted = np.array(rgba(colour)[:3]) / 255.0
     return bool((np.abs(image.imread(path)[:, :, :3] - wanted).max(axis=2) < 0.01).any())
 

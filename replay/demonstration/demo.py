@@ -36,7 +36,6 @@ from monitor.profile import read_profile
 from monitor.service.caught_signals import caught_signals
 from monitor.trace import Trace
 from monitor.views.panels import RunView
-from monitor.views.rerun_view import write_rrd
 from monitor.views.way import WAY_MESSAGES, way_of
 from replay.demonstration.arm_profile import write_arm_profile
 from replay.player import Replay, play_batches
@@ -89,6 +88,8 @@ def demo(vehicle: str, out: Path, speed: float | None, console: bool = False) ->
 
     With ``console`` a web page shows it, until it is interrupted.
     """
+    from monitor.views.rerun_view import write_rrd
+
     out.mkdir(parents=True, exist_ok=True)
     scene = _arm_scene(out) if vehicle == "arm" else _copter_scene()
     pace = speed or (1.0 if console else 2.0 if vehicle == "arm" else 4.0)

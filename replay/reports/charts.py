@@ -1,4 +1,4 @@
-"""Charts of a run: series thinned to what a screen shows, as data that ``report.js`` and :mod:`.plot_panels` draw."""
+"""Charts of a run: series thinned to what a screen shows, as data that ``report.js`` and :mod:`.plot` draw."""
 
 from __future__ import annotations
 
