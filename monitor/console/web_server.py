@@ -68,8 +68,8 @@ _HEADERS: Final = {
 class Guard:
     """Lets through what may pass to an application, and adds the headers of security.
 
-    A name in ``Host`` that was not given might be another site's that was made to point here; addresses cannot be.
-    With a ``token`` all but the page that asks for it needs the cookie, or the token as a bearer's.
+    A name in ``Host`` that is not among ``hosts`` may be that of another site, made to point here; an address cannot
+    be. With a ``token`` all pages but the one that asks for it need the cookie, or the token as a bearer's.
     """
 
     def __init__(self, app: ASGIApp, hosts: Collection[str], token: str | None) -> None:
@@ -87,7 +87,7 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 headers.update(_HEADERS)
                 headers.setdefault("Cache-Control", "no-store")
-            # who does not read for so long is cut off, and his place is another's
+            # a page that does not read for so long is cut off, as another may need its place
             async with asyncio.timeout(_STALLED_S):
                 await send(message)
 

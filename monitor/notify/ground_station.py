@@ -27,7 +27,7 @@ class Beat:
     """What a vehicle's heartbeat says."""
 
     system: int  # MAVLink system id; 0: not known yet, nothing is sent
-    critical: bool  # whether an alarm is
+    critical: bool  # whether one of its alarms is critical
 
 
 class GroundSender:

@@ -11,8 +11,8 @@ from collections.abc import Callable
 _TICK_S = 1.0
 """Chosen: ten of them are counted exactly enough, and waking once a second costs nothing."""
 LIMIT = 10
-"""Ticks in which the loop was done with no vehicle. Chosen: as long as the unit's own watchdog waits, twice as long as
-``/healthz`` does; one vehicle's part of a turn takes no hundredth of it."""
+"""Ticks in which the loop finished its turn for no vehicle. Chosen: as long as the unit's own watchdog waits, twice as
+long as ``/healthz`` does; one vehicle's part of a turn takes no hundredth of it."""
 _SAY_S = 1.0
 """For the tracebacks: standard error may be a pipe that nobody reads."""
 
@@ -50,7 +50,7 @@ class Watchdog:
             missed = 0 if self._fed else missed + 1
             self._fed = False
             if missed >= LIMIT:
-                # what it hangs in goes to the log
+                # the log shall say where the loop hangs
                 say = threading.Thread(target=_say, daemon=True)
                 say.start()
                 say.join(_SAY_S)

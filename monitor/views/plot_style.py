@@ -1,4 +1,4 @@
-"""How all plots look (width, resolution, lines, letters), and how they are written."""
+"""How all plots look (width, resolution, lines, fonts), and how they are written."""
 
 from __future__ import annotations
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adapters.command_line import remark, say, say_json
 from replay.runs.replay_command import LOG_HELP
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def add_review(subparsers: Any) -> None:
 
 def run_review(args: argparse.Namespace) -> int:
     """Run ``fauio review``."""
-    from adapters.errors import TelemetryError, printable
+    from adapters.errors import TelemetryError
     from adapters.output_file import write_file
     from replay.review.review import review_log
     from replay.runs.log_list import check_outputs, find_logs, target
@@ -61,14 +60,13 @@ def run_review(args: argparse.Namespace) -> int:
             if not many:
                 raise
             failed = True
-            sys.stderr.write(printable(f"fauio: {error}") + "\n")
+            remark(str(error))
             continue
-        for damage in review.damage:
-            sys.stderr.write(printable(f"fauio: {damage.line()}; all else was read") + "\n")
+        remark(*(f"{damage.line()}; all else was read" for damage in review.damage))
         if args.json:
-            sys.stdout.write(json.dumps(review.to_json()) + "\n")
+            say_json(review.to_json())
         else:
-            sys.stdout.writelines(printable(line) + "\n" for line in review_lines(review))
+            say(*review_lines(review))
         if report is not None:
             from replay.review.review_page import review_page
 

@@ -30,7 +30,7 @@ class TrialWindow(NamedTuple):
     tail: Sequence[Message]
 
     def messages(self) -> list[Message]:
-        """Return all of them."""
+        """Return all messages of the stretch."""
         return [*messages(self.lead), *self.tail]
 
     def newest(self) -> list[Message]:
@@ -40,7 +40,7 @@ class TrialWindow(NamedTuple):
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of all of them."""
+        """Names of all messages of the stretch."""
         return self.lead.names.union(message.name for message in self.tail)
 
 
@@ -126,6 +126,7 @@ def play_healthy(profile: Profile, recorded: Iterable[Batch]) -> Healthy:
 
 
 def _newest_ns(profile: Profile, batches: Iterable[Batch]) -> list[NDArray[np.int64]]:
+    """Return for each batch the newest time on the vehicle's clock after each of its messages."""
     clock = VehicleClock()
     samplers = [
         GatedSampler(observer.source, observer.rate_hz, clock, profile.gate).sampler for observer in profile.observers

@@ -70,7 +70,7 @@ class InertialData:
         return [(part.y[:, j] - made(part.u[:, i], self.rate_hz, tau))[settle:] for part in self.segments]
 
     def bare_errors(self, axis: str) -> list[NDArray[np.float64]]:
-        """Return the same of a position that comes without a velocity."""
+        """Return by how much a position that comes without a velocity is off what its acceleration makes of it."""
         return self.errors(f"acceleration_{axis}", f"gps_{axis}", self.washouts.bare, twice_washed, BARE_SETTLE_S)
 
     def has(self, source: str, output: str) -> bool:

@@ -342,10 +342,11 @@ def _alarms(bare: Fitted, evidence: Sequence[FloatArray], times: Times) -> list[
 
 
 def _lines(found: _Identified, signals: EscSignals, alarms: Sequence[Calibrated], rate_hz: float) -> tuple[str, ...]:
+    """Return what a fit tells people: how well the curves hold, where speeds come from, and the alarms' thresholds."""
     s = len(found.numbers)
     left = 100.0 * found.curves.left
     order = ", ".join(f"motor{n} {_place(channel)}" for n, channel in zip(found.numbers, signals.speed, strict=True))
-    current = "" if len(left) == s else f", currents speeds within {left[s:].mean():.1f} %"
+    current = "" if len(left) == s else f", currents follow speeds within {left[s:].mean():.1f} %"
     sizes = ", ".join(f"{alarm.rule.channel} {100 * alarm.rule.threshold:.1f} %" for alarm in alarms)
     return (
         f"at {rate_hz:g} Hz, {1000 * (found.delay_s + found.lag_s):.0f} ms late: speeds follow commands within "

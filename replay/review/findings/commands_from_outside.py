@@ -19,17 +19,17 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             if said.kind == "flood":
                 flood_s = command.time_s if flood_s is None else flood_s
                 continue
-            known, ends = sorted(watch.known), ends_flight(command.name, command.values)
+            known = ", ".join(f"system {system}, component {component}" for system, component in sorted(watch.known))
+            ends = ends_flight(command.name, command.values)
+            # a command without a name is a number of MAV_CMD
+            name = f"MAV_CMD {command.name}" if command.name.isdigit() else command.name
             yield Judgement(
                 span=(command.time_s, command.time_s),
                 text=said.text,
-                evidence=(
-                    f"{'MAV_CMD ' * command.name.isdigit()}{command.name} at {command.time_s:.2f} s with "
-                    f"{', '.join(map(str, command.values)) or 'nothing'}",
-                ),
+                evidence=(f"{name} at {command.time_s:.2f} s with {', '.join(map(str, command.values)) or 'nothing'}",),
                 counter=(f"commands before take-off came from {known or 'nobody'}",),
                 confidence="likely" if known else "possible",
-                # what falls from nowhere is disarmed at each drive's end, by whoever has it at hand
+                # a vehicle that does not fly is disarmed at the end of each drive, by whoever has it at hand
                 weight=said.weight if facts.flies or not ends else "information",
             )
     if flood_s is not None:
