@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from gains.identification.simulation import Dynamics, compile_vectorised
 from gains.plants.expression import Apply, Argument, Node, Number, binary, parse_expression
 from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Nonlinearity, Plant
+from gains.synthesis.certificate import Certificate, certify
+from gains.synthesis.design import Design
 
 DESIGNS = settings().max_examples // 4
 """Examples of an invariant whose every example designs observers."""
@@ -226,3 +228,18 @@ def dynamics_of(plant: Plant) -> Dynamics:
         parameters=np.zeros(0),
         curves=curves,
     )
+
+
+def rmse(error: FloatArray) -> float:
+    """Return the root of the mean square of errors."""
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def assert_proven(plant: Plant, design: Design) -> Certificate:
+    """Return the certificate of a design, which has to hold and to be stable."""
+    certificate = certify(plant, design)
+    assert certificate.holds
+    assert certificate.margin > 0.0
+    assert certificate.norm <= design.sqrt_mu
+    assert certificate.poles_max < (0.0 if design.rate_hz is None else 1.0)
+    return certificate

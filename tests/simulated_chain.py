@@ -16,12 +16,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from operator import mul
 
 import numpy as np
 
+from adapters.batch import Batch
 from adapters.message import Message
 from adapters.source import MAVLINK
+from monitor.fitting.fitted import FitRequest, Fitted
+from monitor.fitting.survey import survey
+from monitor.profile import Profile
+from monitor.sampling.gate import GateRule
 
 RATE_HZ, STEPS = 100, 4
 """Messages per second, and steps of the simulation per message."""
@@ -170,3 +176,16 @@ def _dot(a: Iterable[float], b: Iterable[float]) -> float:
 
 def _message(name: str, received_ns: int, fields: Mapping[str, object]) -> Message:
     return Message(MAVLINK, name, received_ns, fields, 1, 1)
+
+
+GATE = GateRule(settle_s=1.0)
+
+
+def request(*logs: list[Batch]) -> FitRequest:
+    """Return what is asked of a fit of such flights."""
+    return FitRequest("quad", [partial(iter, log) for log in logs], tuple(survey(iter(log)) for log in logs))
+
+
+def profile_of(fitted: Fitted) -> Profile:
+    """Return a profile of one fitted observer."""
+    return Profile("quad", "multirotor", 0, GATE, 2.0, (fitted.profile(),), (), {}, "")

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from gains_samples import rmse
 
 from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
 from adapters.simulation.arm_source import arm_messages
@@ -24,10 +25,6 @@ def simulated(scenario: str) -> ArmRun:
 def estimated(profile: Profile, scenario: str) -> tuple[ArmRun, ObserverRun]:
     run = simulated(scenario)
     return run, AffineObserver([profile.observers[0].gains[0]]).run(run.u, run.y)
-
-
-def rmse(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
 
 
 @pytest.mark.parametrize("scenario", PAPER_RMSE)

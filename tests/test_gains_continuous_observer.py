@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gains_samples import multirotor
+from gains_samples import multirotor, rmse
 from paper_gains import BETA, DISTURBED, UNDISTURBED, Printed
 
 from adapters.errors import ModelError
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from gains.plants.model_file import builtin_model, model_hash
-from gains.plants.plant import FloatArray
 from gains.synthesis.continuous_observer import ContinuousObserver, compile_continuous, fauio_observer
 from gains.synthesis.gains_file import read_gains, write_gains
 from monitor.estimation.affine import AffineObserver
@@ -20,10 +19,6 @@ from monitor.estimation.affine import AffineObserver
 def printed_observer(printed: Printed = DISTURBED) -> ContinuousObserver:
     L = BETA * printed.L2
     return fauio_observer(builtin_model(printed.model), printed.K, L, L, "printed")
-
-
-def rmse(error: FloatArray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
 
 
 @pytest.mark.parametrize("printed", [UNDISTURBED, DISTURBED])

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gains_samples import continuous_plant, multirotor, with_rates
+from gains_samples import assert_proven, continuous_plant, multirotor, with_rates
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,15 +22,6 @@ from gains.synthesis.design import Design
 from monitor.estimation.affine import AffineObserver
 
 FLOOR = 0.13628
-
-
-def assert_proven(plant: Plant, design: Design) -> Certificate:
-    certificate = certify(plant, design)
-    assert certificate.holds
-    assert certificate.margin > 0.0
-    assert certificate.norm <= design.sqrt_mu
-    assert certificate.poles_max < 0.0
-    return certificate
 
 
 def test_the_disturbed_arm_is_certified_at_the_optimum_of_the_class() -> None:

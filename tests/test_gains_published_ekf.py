@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gains_samples import integrator_with_drift, multirotor, with_rates
+from gains_samples import integrator_with_drift, multirotor, rmse, with_rates
 
 from adapters.errors import InfeasibleError, ModelError
 from adapters.simulation.arm import SCENARIOS, simulate_arm
@@ -18,10 +18,6 @@ from monitor.estimation.affine import AffineObserver
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
 from extended_kalman import ExtendedKalmanFilter
-
-
-def rmse(error: FloatArray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
 
 
 def arm() -> Plant:

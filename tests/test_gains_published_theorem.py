@@ -5,24 +5,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gains_samples import continuous_plant, multirotor
+from gains_samples import assert_proven, continuous_plant, multirotor
 
 from adapters.errors import InfeasibleError, ModelError
 from gains.plants.model_file import builtin_model
-from gains.plants.plant import Nonlinearity, Plant
+from gains.plants.plant import Nonlinearity
 from gains.published.theorem import Theorem, design_theorem
-from gains.synthesis.certificate import Certificate, certify
 from gains.synthesis.continuous_observer import compile_continuous, designed_observer
-from gains.synthesis.design import Design
 
 LONG = pytest.mark.long
-
-
-def assert_proven(plant: Plant, design: Design) -> Certificate:
-    certificate = certify(plant, design)
-    assert certificate.holds
-    assert certificate.norm <= design.sqrt_mu
-    return certificate
 
 
 def test_theorem_2_bounds_the_disturbed_arm_far_above_its_norm() -> None:

@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
-from gains_samples import DESIGNS, flying_multirotor, integrator_with_drift, multirotor, random_plant, sine
+from gains_samples import (
+    DESIGNS,
+    assert_proven,
+    flying_multirotor,
+    integrator_with_drift,
+    multirotor,
+    random_plant,
+    sine,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -34,15 +42,6 @@ def some(values: Iterable[Any], *chosen: Any) -> list[Any]:
 
 # Least sqrt(mu) of any observer on the disturbed arm: disturbances that hide in the fault channels.
 FLOOR = 0.13628
-
-
-def assert_proven(plant: Plant, design: Design) -> Certificate:
-    certificate = certify(plant, design)
-    assert certificate.holds
-    assert certificate.margin > 0.0
-    assert certificate.norm <= design.sqrt_mu
-    assert certificate.poles_max < 1.0
-    return certificate
 
 
 def test_the_disturbed_arm_at_100_hz_is_certified_at_its_optimum_with_moderate_gains() -> None:

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega
+from test_monitor_blind import events_of
 
-from adapters.logs.recordings import packed, read_recording
+from adapters.logs.recordings import read_recording
 from adapters.logs.tlog import TlogReader
 from adapters.message import Message
 from adapters.source import MAVLINK
@@ -73,12 +74,6 @@ def with_forged(messages: list[Message], forge: Forge, period_s: float, start_s:
             due_ns += round(period_s * 1e9)
         made.append(message)
     return made
-
-
-def events_of(profile: Profile, messages: list[Message], pipeline: Pipeline | None = None) -> list[AlarmEvent]:
-    pipeline = pipeline or Pipeline(profile)
-    outputs = [output for batch in packed(messages) for output in pipeline.run(batch)]
-    return [event for event in outputs if isinstance(event, AlarmEvent)]
 
 
 @pytest.fixture(scope="module")

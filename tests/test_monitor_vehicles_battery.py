@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from simulated_chain import OHM, Fault, flight
+from simulated_chain import GATE, OHM, Fault, flight, profile_of, request
 
 from adapters.batch import Batch
 from adapters.errors import TelemetryError
@@ -16,20 +16,13 @@ from adapters.logs.recordings import packed
 from adapters.message import Message
 from adapters.sample import Samples, joined_samples
 from monitor.display import battery_text
-from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.survey import survey
+from monitor.fitting.fitted import Fitted
 from monitor.profile import Profile
-from monitor.sampling.gate import GateRule
 from monitor.vehicles.multirotor.battery import BatteryInputs, fit_battery
 from replay.player import play
 
-GATE = GateRule(settle_s=1.0)
 PARAMETERS = {"ohm": 0.02, "doubt": 0.001, "charge": 18_000.0}
 quad = partial(flight, esc_hz=0.0, climbs=1.0)
-
-
-def request(*logs: list[Batch]) -> FitRequest:
-    return FitRequest("quad", [partial(iter, log) for log in logs], tuple(survey(iter(log)) for log in logs))
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +34,7 @@ def fitted() -> Fitted:
 
 @pytest.fixture(scope="module")
 def profile(fitted: Fitted) -> Profile:
-    return Profile("quad", "multirotor", 0, GATE, 2.0, (fitted.profile(),), (), {}, "")
+    return profile_of(fitted)
 
 
 def test_flights_tell_resistance_and_charge(fitted: Fitted) -> None:

@@ -1,31 +1,23 @@
 """Which propeller is out of balance, by its line in raw accelerations."""
 
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from simulated_chain import Fault, flight
+from simulated_chain import GATE, Fault, flight, profile_of, request
 
 from adapters.batch import Batch, of_names
 from adapters.batch import messages as messages_of
 from adapters.errors import ModelError, TelemetryError
 from adapters.logs.recordings import packed
 from adapters.sample import Samples, joined_samples
-from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.survey import survey
+from monitor.fitting.fitted import Fitted
 from monitor.profile import Profile
-from monitor.sampling.gate import GateRule
 from monitor.vehicles.multirotor.imbalance import ImbalanceInputs, Lines, fit_imbalance
 from replay.player import play
 
-GATE = GateRule(settle_s=1.0)
 IMU_HZ, SIZE = 400.0, 200
-
-
-def request(*logs: list[Batch]) -> FitRequest:
-    return FitRequest("quad", [partial(iter, log) for log in logs], tuple(survey(iter(log)) for log in logs))
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +34,7 @@ def fitted(healthy: list[list[Batch]]) -> Fitted:
 
 @pytest.fixture(scope="module")
 def profile(fitted: Fitted) -> Profile:
-    return Profile("quad", "multirotor", 0, GATE, 2.0, (fitted.profile(),), (), {}, "")
+    return profile_of(fitted)
 
 
 def raw(rpm: NDArray[np.float64], amplitude: NDArray[np.float64], seed: int = 0) -> Samples:

@@ -2,28 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from simulated_chain import Fault, flight
+from simulated_chain import GATE, Fault, flight, profile_of, request
 
-from adapters.batch import Batch, of_names
+from adapters.batch import of_names
 from adapters.errors import ModelError, TelemetryError
 from adapters.logs.recordings import packed
-from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.survey import survey
+from monitor.fitting.fitted import Fitted
 from monitor.profile import Profile
-from monitor.sampling.gate import GateRule
 from monitor.vehicles.multirotor.vibration import VibrationInputs, fit_vibration
 from replay.player import play
-
-GATE = GateRule(settle_s=1.0)
-
-
-def request(*logs: list[Batch]) -> FitRequest:
-    return FitRequest("quad", [partial(iter, log) for log in logs], tuple(survey(iter(log)) for log in logs))
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +26,7 @@ def fitted() -> Fitted:
 
 @pytest.fixture(scope="module")
 def profile(fitted: Fitted) -> Profile:
-    return Profile("quad", "multirotor", 0, GATE, 2.0, (fitted.profile(),), (), {}, "")
+    return profile_of(fitted)
 
 
 def test_a_propeller_out_of_balance_is_an_alarm_within_seconds(profile: Profile) -> None:
