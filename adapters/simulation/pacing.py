@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
+from math import inf
 from typing import TypeVar
 
 from adapters.errors import UsageError
@@ -11,10 +12,11 @@ from adapters.errors import UsageError
 T = TypeVar("T")
 
 
-def paced(items: Iterable[tuple[int, T]], speed: float) -> Iterator[T]:
+def paced(items: Iterable[tuple[int, T]], speed: float, catch_up_s: float = inf) -> Iterator[T]:
     """Return the items in order, each not before its time (nanoseconds), at so many times real time; the first at once.
 
-    The schedule is absolute: an item that came late does not delay those behind it.
+    The schedule is absolute: an item that came late does not delay those behind it, unless it came later than
+    ``catch_up_s``: a machine that stood still is no burst of telemetry.
 
     Raises
     ------
@@ -30,4 +32,6 @@ def paced(items: Iterable[tuple[int, T]], speed: float) -> Iterator[T]:
         wait_ns = start[1] + (time_ns - start[0]) / speed - time.monotonic_ns()
         if wait_ns > 0:
             time.sleep(wait_ns / 1e9)
+        elif wait_ns < -1e9 * catch_up_s:
+            start = time_ns, time.monotonic_ns()
         yield item
