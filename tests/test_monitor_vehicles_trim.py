@@ -15,7 +15,7 @@ from gains.identification.segment import Segment
 from monitor.alarms.alarm import AlarmRule
 from monitor.estimation.excitation import ExcitationRule
 from monitor.fitting.thresholds import Calibrated
-from monitor.vehicles.multirotor.fit import _check_watched, _smallest
+from monitor.vehicles.multirotor.fit import _check_watched, _lines, _smallest
 from monitor.vehicles.multirotor.frames import Frame, frame_of, lifting_outputs, standard_frames
 from monitor.vehicles.multirotor.identify import USUAL, MultirotorFit, multirotor_plant
 from monitor.vehicles.multirotor.trim import TRIM_HZ, choose_frame, identify_trim, slow_times, smallest_loss
@@ -264,3 +264,14 @@ def test_motors_of_which_not_even_a_total_loss_would_stand_out_are_refused(at_re
     assert smallest["motor1"][0] == pytest.approx(0.1 * np.sqrt(at_rest))
     with pytest.raises(ModelError, match="above 120 % of its command") if refused else nullcontext():
         _check_watched({"motor1": 0.5}, smallest)
+
+
+def test_the_size_of_a_sudden_loss_is_said_beside_that_of_a_slow_one() -> None:
+    rule = AlarmRule("motors", "motor1", "actuator", "fraction of full command", 0.01, 0.005, 0.5, 0.1, 0.1, least=0.01)
+    said = [
+        _lines({"motor1": 0.5}, {"motor1": (size, rule.unit)}, [Calibrated(rule, None)])[0] for size in (0.01, 0.03)
+    ]
+    assert said == [
+        "motor1 alarm from 2 % of thrust (hovers at 0.50)",
+        "motor1 alarm from 6 % of thrust, 2 % of thrust where it comes at once (hovers at 0.50)",
+    ]

@@ -310,7 +310,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
             *([range_text(commands, surveys)] if ranges else []),
             identified.line,
             *([] if drive.supply is None else [_supply_text(drive.supply)]),
-            *_lines(watched, smallest),
+            *_lines(watched, smallest, alarms),
         ),
         details=identified.details,
         comparison=identified.comparison,
@@ -616,8 +616,14 @@ def _details(motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift)
     )
 
 
-def _lines(watched: Mapping[str, float], smallest: Mapping[str, tuple[float, str]]) -> tuple[str, ...]:
-    return tuple(
-        f"{motor} alarm from {size_text(*smallest[motor], command)} (hovers at {command:.2f})"
-        for motor, command in watched.items()
-    )
+def _lines(
+    watched: Mapping[str, float], smallest: Mapping[str, tuple[float, str]], alarms: Sequence[Calibrated]
+) -> tuple[str, ...]:
+    sudden = {calibrated.rule.channel: calibrated.rule.least for calibrated in alarms}
+    lines = []
+    for motor, command in watched.items():
+        size, unit = smallest[motor]
+        least = sudden[motor]
+        at_once = f", {size_text(least, unit, command)} where it comes at once" if 0.0 < least < size else ""
+        lines.append(f"{motor} alarm from {size_text(size, unit, command)}{at_once} (hovers at {command:.2f})")
+    return tuple(lines)
