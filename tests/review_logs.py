@@ -54,6 +54,7 @@ class Flight:
     failsafe: Callable[[float], bool] = lambda _: False
     killed: Callable[[float], bool] = lambda _: False
     mode: int = 2
+    vtol: bool = False
     end_s: float = END_S
     texts: Sequence[tuple[float, str]] = ()
     commands: Sequence[tuple[float, int, int, float]] = ()  # when, component, MAV_CMD, first parameter
@@ -61,7 +62,8 @@ class Flight:
 
 
 _TOPICS = {
-    "vehicle_status": "uint64_t timestamp;uint8_t arming_state;uint8_t nav_state;bool failsafe;uint8_t vehicle_type",
+    "vehicle_status": "uint64_t timestamp;uint8_t arming_state;uint8_t nav_state;bool failsafe;uint8_t vehicle_type;"
+    "bool is_vtol",
     "vehicle_land_detected": "uint64_t timestamp;bool landed",
     "actuator_armed": "uint64_t timestamp;bool manual_lockdown",
     "actuator_motors": "uint64_t timestamp;float[12] control",
@@ -119,6 +121,7 @@ def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
             "nav_state": flight.mode,
             "failsafe": flight.failsafe(at),
             "vehicle_type": 1,
+            "is_vtol": flight.vtol,
         },
         "vehicle_land_detected": {"landed": flight.landed(at)},
         "actuator_armed": {"manual_lockdown": flight.killed(at)},
@@ -231,7 +234,7 @@ def telemetry(path: Path, flight: Flight, period_s: float = 0.25, first_output: 
         metres = flight.height(at) + drift_m * min(at, 1.0)
         armed = 128 * flight.armed(at) + 1
         packets += [
-            (at, mavlink.MAVLink_heartbeat_message(2, 3, armed, flight.mode, 4, 3)),
+            (at, mavlink.MAVLink_heartbeat_message(22 if flight.vtol else 2, 3, armed, flight.mode, 4, 3)),
             (at, mavlink.MAVLink_attitude_message(round(1000 * at), *roll)),
             (at, mavlink.MAVLink_scaled_pressure_message(round(1000 * at), 1013.25 - metres / 8.43, 0.0, 2000)),
             (at, mavlink.MAVLink_servo_output_raw_message(round(1e6 * at), 0, *pulses)),

@@ -568,6 +568,14 @@ def test_one_sample_does_not_say_how_long_a_motor_was_stopped(
     assert names(rules_on(telemetry(tmp_path / "flight.tlog", flight, period_s))) == found
 
 
+@pytest.mark.parametrize("suffix", ["ulg", "tlog"])
+def test_motors_of_a_vtol_may_stand_in_the_air(suffix: str, tmp_path: Path) -> None:
+    flight = replace(CASES["motor_command_stopped"], vtol=True)
+    review = rules_on((px4_log if suffix == "ulg" else telemetry)(tmp_path / f"flight.{suffix}", flight))
+    assert names(review) == []
+    assert review.unjudged["One motor commanded to stop"] == "holds of multirotors; the vehicle is a VTOL"
+
+
 def test_a_rover_may_be_disarmed_by_anybody() -> None:
     facts = LogFacts("PX4", "rover", 0, 60.0, ((1.0, 60.0),), ((1.0, 60.0),), {})
     facts = replace(

@@ -36,7 +36,8 @@ TOPICS = frozenset(
 _ROTORS = {2: 4, 13: 6, 14: 8, 29: 12}
 _NO_AUTOPILOT, _ARMED, _ON_GROUND = 8, 128, 1
 _KINDS = {1: "plane", 10: "rover", 11: "rover", 12: "submarine"}
-"""Of MAV_TYPE, beside multirotors: fixed wing, ground rover, boat, submarine."""
+_KINDS |= dict.fromkeys(range(19, 26), "VTOL")
+"""Of MAV_TYPE, beside multirotors: fixed wing, ground rover, boat, submarine, and what changes between two kinds."""
 _AUTOPILOTS = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
 _ANNOUNCED = re.compile(r"failsafe|^crash|potential thrust loss|^parachute: released", re.IGNORECASE)
 _CALLED_OFF = re.compile(r"^(pre)?arm|preflight|clear|recover|resolve|deactivat|disabl|not |\boff\b", re.IGNORECASE)

@@ -95,6 +95,9 @@ def px4_facts(records: LogRecords) -> LogFacts:
     vehicle = values.get(int(np.median(kinds.only)), "") if kinds else ""
     if rotary and np.median(rotary.only) == 1:
         vehicle = "multirotor"
+    if (get("vehicle_status", ["is_vtol"], ["vtol"], "").only == 1).any():
+        # neither of the two for long: its rotors stand while it flies on its wings
+        vehicle = "VTOL"
     return LogFacts(
         "PX4", vehicle, records.first_ns, records.duration_s, tuple(armed), tuple(flight), signals,
         (*_statements(records), *state_statements(arming, landing)), tuple(_commands(records)),
