@@ -60,6 +60,17 @@ def test_outputs_of_a_px4_plane_are_what_its_parameters_say(driver: str) -> None
     assert plane_outputs(PX4 | turned | outputs_of(driver, FOUR)) == named(3, 2, 4, 1)
 
 
+@pytest.mark.parametrize(
+    ("airframe", "order"),
+    [(10041.0, (1, 2, 4, 3)), (1101.0, (1, 2, 4, 3)), (1030.0, (6, 8, 5, 3)), (2100.0, (1, 2, 3, 4))],
+)
+def test_a_px4_link_that_holds_no_more_than_its_airframe_tells(airframe: float, order: tuple[int, ...]) -> None:
+    assert plane_outputs({"SYS_AUTOSTART": airframe}) == named(*order)
+    assert plane_outputs({"SYS_AUTOSTART": 10041.0, "PWM_MAIN_FUNC4": 0.0, "PWM_MAIN_FUNC7": 101.0}) == named(
+        1, 2, 7, 3
+    )
+
+
 def test_the_driver_that_drives_most_counts() -> None:
     assert plane_outputs(PX4 | {"PWM_MAIN_FUNC5": 101.0} | outputs_of("PWM_AUX_FUNC", FOUR)) == named(1, 2, 4, 3)
 
@@ -97,7 +108,7 @@ def test_outputs_of_a_px4_rover_are_what_its_parameters_say() -> None:
 @pytest.mark.parametrize(
     ("parameters", "px4", "said"),
     [
-        ({}, True, "no parameter of PX4 in the logs says which output drives what"),
+        ({"SYS_AUTOSTART": 4001.0}, True, "no parameter of PX4 in the logs says which output drives what"),
         (TAIL | outputs_of("PWM_MAIN_FUNC", FOUR), True, "elevator and rudder alone: outputs 2, 3 act about two axes"),
         (
             {"SERVO1_FUNCTION": 77.0, "SERVO2_FUNCTION": 78.0, "SERVO3_FUNCTION": 70.0, "SERVO4_FUNCTION": 21.0},

@@ -8,7 +8,7 @@ most of what is asked for counts, as a log's outputs are those of the one that m
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
@@ -19,6 +19,14 @@ MOTOR, SERVO = 101, 201
 _DRIVERS = ("PWM_MAIN_FUNC", "PWM_AUX_FUNC", "HIL_ACT_FUNC", "SIM_GZ_SV_FUNC")
 _ROTORS, _SURFACES = 12, 8
 """``CA_ROTOR0`` to ``CA_ROTOR11`` and ``CA_SV_CS0`` to ``CA_SV_CS7``: as many as PX4's control allocation has."""
+_AIRFRAMES: Mapping[float, tuple[tuple[int, ...], tuple[int, ...]]] = {
+    1101: ((2, 3, 4), (201, 202, 203, 101)),  # simulated planes
+    10041: ((15, 3, 4), (201, 202, 203, 101)),
+    1030: ((1, 2, 3, 4), (0, 0, 204, 0, 101, 201, 202, 203)),
+    2100: ((15, 3, 4), (201, 202, 101, 203)),  # the standard plane
+}
+"""By SYS_AUTOSTART, kinds of the surfaces and functions of the main outputs that PX4's airframes begin with: unless it
+is asked, PX4 sends over a link what was changed since, and SYS_AUTOSTART."""
 _COMMANDED = 9
 """First output of a servo where those of a log are made of PX4's commands to motors (1 to 8) and servos."""
 _PULSES = {True: (1000.0, 1000.0), False: (1500.0, 500.0)}
@@ -55,7 +63,8 @@ def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) 
     TelemetryError
         Outputs are mixed, or nothing says which one drives an actuator: every airframe of PX4 has its own order.
     """
-    survey = next((found for found in surveys if found.px4 and "CA_AIRFRAME" in found.parameters), surveys[0])
+    completed = [_completed(survey) for survey in surveys]
+    survey = next((found for found in completed if found.px4 and "CA_AIRFRAME" in found.parameters), completed[0])
     commanded = survey.px4 and survey.onboard and any(number >= _COMMANDED for number in survey.outputs)
     functions = _functions(survey, actuators, commanded)
     wanted = [_wanted(survey, actuator) for actuator in actuators]
@@ -63,7 +72,8 @@ def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) 
     if survey.px4 and not functions:
         raise TelemetryError(
             "no parameter of PX4 in the logs says which output drives what (CA_AIRFRAME, CA_SV_CS*_TYPE, "
-            "PWM_MAIN_FUNC*; each airframe has its own order); fit a .ulg, or telemetry that holds the parameters"
+            "PWM_MAIN_FUNC*, or a SYS_AUTOSTART that is known; each airframe has its own order); fit a .ulg, or "
+            "telemetry that holds the parameters"
         )
     if not survey.px4:
         # of a link that loses parameters: what is not said of an output is as usual
@@ -81,6 +91,17 @@ def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) 
         for actuator, number in zip(actuators, numbers, strict=True)
         if number is not None
     }
+
+
+def _completed(survey: Survey) -> Survey:
+    """Return what a recording of PX4 holds with the parameters that its airframe begins with."""
+    number = survey.parameters.get("SYS_AUTOSTART", 0.0)
+    if not survey.px4 or number not in _AIRFRAMES:
+        return survey
+    kinds, functions = _AIRFRAMES[number]
+    begins = {f"CA_SV_CS{k}_TYPE": float(kind) for k, kind in enumerate(kinds)}
+    begins |= {f"{_DRIVERS[0]}{n}": float(function) for n, function in enumerate(functions, 1)}
+    return replace(survey, parameters={"CA_AIRFRAME": 1.0, **begins, **survey.parameters})
 
 
 def _output(functions: Mapping[int, float], codes: Sequence[int]) -> int | None:
