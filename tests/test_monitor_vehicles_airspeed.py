@@ -18,7 +18,8 @@ from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.survey import Survey, survey
 from monitor.profile import Profile
 from monitor.sampling.gate import GateRule
-from monitor.vehicles.plane.airspeed import AirspeedInputs, _has_sensor, fit_airspeed
+from monitor.vehicles.plane.airspeed import AirspeedInputs, fit_airspeed
+from monitor.vehicles.plane.signals import has_airspeed_sensor, preview
 from replay.player import play
 
 HZ = 10.0
@@ -201,14 +202,15 @@ def test_it_explains_what_surfaces_show_and_a_wrong_gps_explains_it(fitted: Fitt
     surfaces, airspeed = fitted.excuses
     assert (surfaces.channels, surfaces.by) == (("aileron", "elevator", "rudder", "throttle"), ("airspeed",))
     assert airspeed.channels == ("airspeed",)
-    assert "gps_velocity_north" in airspeed.by
+    assert {"gps_velocity_north", "gps_east", "motion_north"} <= set(airspeed.by)
+    assert airspeed.for_s == 30.0
     assert surfaces.precedes and airspeed.precedes
 
 
 def test_a_plane_without_a_sensor_or_gps_has_no_such_observer() -> None:
     def says(present: int | None) -> bool:
         fields = {} if present is None else {"SYS_STATUS": {"onboard_control_sensors_present": present}}
-        return _has_sensor(Survey({}, {}, {}, fields))
+        return has_airspeed_sensor(Survey({}, {}, {}, fields))
 
     assert says(0x0000_0010 | 0x1) and says(None)
     assert not says(0x1)
@@ -216,6 +218,14 @@ def test_a_plane_without_a_sensor_or_gps_has_no_such_observer() -> None:
     without = [message for message in told(flown(60.0)) if message.name != "GPS_RAW_INT"]
     hears = [Message(MAVLINK, "HIGHRES_IMU", m.received_ns, imu(k), 1, 1) for k, m in enumerate(without)]
     assert fit_airspeed(request(list(packed([*without, *hears]))), GATE) is None
+
+
+@pytest.mark.parametrize(("present", "watched"), [(0x10, True), (0x1, False)])
+def test_a_recording_says_whether_the_airspeed_could_be_watched(present: int, watched: bool) -> None:
+    log = list(told(flown(60.0), present=present))
+    for name, fields in (("SERVO_OUTPUT_RAW", {"port": 0, "servo1_raw": 1500}), ("HIGHRES_IMU", {})):
+        log += [Message(MAVLINK, name, m.received_ns, imu(k) | fields, 1, 1) for k, m in enumerate(log)]
+    assert ("airspeed" in preview(survey(packed(log))).watches) is watched
 
 
 @pytest.mark.parametrize(

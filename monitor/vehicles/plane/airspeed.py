@@ -23,13 +23,12 @@ from monitor.core.airspeed import AirspeedCore
 from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, raw_flights, transformed
-from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import Times, healthy_evidence
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters, raw_per_sample
 from monitor.sampling.transform import LiftRule, SampleSource, TransformRule
 from monitor.vehicles.inertial.signals import common_channels
-from monitor.vehicles.plane.signals import AIRSPEED
+from monitor.vehicles.plane.signals import AIRSPEED, has_airspeed_sensor
 from monitor.vehicles.plane.transform import SurfaceInputs
 
 Array = NDArray[np.float64]
@@ -38,8 +37,6 @@ OBSERVER = "airspeed"
 _PARAMETERS = ("scale", "noise", "level", "minimum_speed")
 _GPS = ("gps_speed", "gps_course", "gps_alt")
 _SIGNALS = ("airspeed", *_GPS, "yaw")
-_SENSORS = 0x10
-"""MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE."""
 _FASTEST_HZ = 10.0
 """Chosen: autopilots filter airspeed by 1 to 2 Hz, GPS receivers have 5 to 10 fixes a second."""
 _SLOWEST = 0.5
@@ -63,6 +60,9 @@ _FAULT_RATE = 10.0
 """m/s per second by which the error may grow: chosen, half the speed in a second."""
 _EXCUSED_S = 5.0
 """How long after its end it explains what surfaces showed: so long their effectiveness is held at most."""
+_UNLEARNED_S = 30.0
+"""How long after its end a wrong GPS explains a difference: a velocity that was led away has become wind, which takes
+so long to be unlearned (from 6 s after the end of a spoof by 5 m/s the airspeed was accused for 8 s)."""
 
 
 class AirspeedInputs:
@@ -103,7 +103,7 @@ def fit_airspeed(request: FitRequest, gate: GateRule) -> Fitted | None:
     """
     surveys = request.surveys
     known = {channel.name: channel for channel in common_channels(surveys).channels}
-    if not (set(_GPS) <= set(known) and all(_has_sensor(survey) for survey in surveys)):
+    if not (set(_GPS) <= set(known) and all(map(has_airspeed_sensor, surveys))):
         return None
     channels: tuple[Channel, ...] = (AIRSPEED, *(known[name] for name in _SIGNALS[1:]))
     rate_hz = _FASTEST_HZ
@@ -119,13 +119,13 @@ def fit_airspeed(request: FitRequest, gate: GateRule) -> Fitted | None:
     evidence = healthy_evidence(bare.profile(), gate, flights)
     [alarm] = pooled_alarms(bare, evidence, ["airspeed"], smallest, critical, _TIMES)
     alarm = replace(alarm, rule=replace(alarm.rule, kind="sensor"))
-    sensors = ("gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east")
+    sensors = [f"{name}_{axis}" for name in ("gps", "gps_velocity", "motion") for axis in ("north", "east")]
     return replace(
         bare,
         alarms=(alarm,),
         excuses=(
             ExcuseRule(SurfaceInputs.actuators, ("airspeed",), _EXCUSED_S, precedes=True),
-            ExcuseRule(("airspeed",), sensors, _EXCUSED_S, precedes=True),
+            ExcuseRule(("airspeed",), tuple(sensors), _UNLEARNED_S, precedes=True),
         ),
         findings={"rate_hz": rate_hz, **parameters},
         lines=(
@@ -134,12 +134,6 @@ def fit_airspeed(request: FitRequest, gate: GateRule) -> Fitted | None:
             f"{alarm.rule.threshold:.1f} m/s",
         ),
     )
-
-
-def _has_sensor(survey: Survey) -> bool:
-    """Return whether the vehicle has an airspeed sensor: else its autopilot sends what GPS and wind let expect."""
-    present = survey.examples.get("SYS_STATUS", {}).get("onboard_control_sensors_present")
-    return not isinstance(present, int) or bool(present & _SENSORS)
 
 
 def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float]:

@@ -26,6 +26,8 @@ _ACTUATORS = (
 
 MESSAGES = EFFECT_MESSAGES | {_AIRSPEED_MESSAGE, "SYS_STATUS"}
 """The last says whether there is an airspeed sensor."""
+_PRESENT, _SENSOR = "onboard_control_sensors_present", 0x10
+"""Of SYS_STATUS; MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE."""
 
 
 def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
@@ -41,7 +43,15 @@ def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
     return effect_signals(surveys, SurfaceInputs.signals, _ACTUATORS, {"airspeed": AIRSPEED})
 
 
+def has_airspeed_sensor(survey: Survey) -> bool:
+    """Return whether the vehicle has an airspeed sensor: else its autopilot sends what GPS and wind let expect."""
+    present = survey.examples.get("SYS_STATUS", {}).get(_PRESENT)
+    return not isinstance(present, int) or bool(present & _SENSOR)
+
+
 def preview(survey: Survey) -> Preview:
     """Return what could be watched with the messages of a recording."""
     signals = plane_signals([survey])
-    return Preview(tuple(actuator.name for actuator in _ACTUATORS), signals.channels, signals.rate_hz)
+    compared = has_airspeed_sensor(survey) and bool(survey.counts.get("GPS_RAW_INT"))
+    watches = [actuator.name for actuator in _ACTUATORS] + ["airspeed"] * compared
+    return Preview(tuple(watches), signals.channels, signals.rate_hz)
