@@ -28,6 +28,7 @@ first ten are those that made it blind, fall silent or grow without bound while 
 | gaps in which the vehicle speeds up | test_monitor_vehicles_strapdown | a_gap_while |
 | telemetry that stops reaching an observer | test_monitor_blind | gps |
 | a process whose main loop stands still | test_monitor_watchdog | stands_still |
+| telemetry that is late for good | test_chaos_surroundings | ten_seconds_late |
 | what waits for longer than a second, or is too large | test_monitor_inbox | waited, bounded |
 | alarms that a flood would hold back | test_monitor_desk | flood |
 | requests for the past without end | test_monitor_publisher | takes_long |

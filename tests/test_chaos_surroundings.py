@@ -11,6 +11,8 @@ import socket
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -19,6 +21,7 @@ import chaos
 import pytest
 from chaos import Sufferer
 from chaos_run import MOTOR1, Monitor, monitoring, name_of, waits
+from loopback import free_port
 
 pytestmark = pytest.mark.long
 
@@ -128,3 +131,29 @@ def test_the_fault_is_alarmed_whatever_breaks_around_the_monitor(tmp_path: Path,
         assert [event.channel for event in monitor.raised(1)] == ["motor1"]
         assert monitor.stop() == 0
     assert "Traceback" not in (tmp_path / "daemon.log").read_text()
+
+
+def test_telemetry_that_comes_ten_seconds_late_is_not_called_healthy(tmp_path: Path) -> None:
+    port = free_port()
+    packets = Sufferer(1, MOTOR1, "none", 30.0).packets(time.time_ns())
+    late_s, sent = 10.0, 0
+    with monitoring(tmp_path, [1], f'metrics.listen = "127.0.0.1:{port}"') as monitor:
+        host, to = monitor.udp.split(":")
+
+        def said() -> str:
+            """Send what is due; return what is not right."""
+            nonlocal sent
+            since_s = time.monotonic() - begun_s
+            due_ns = 1e9 * (since_s if since_s < 3.0 else max(3.0, since_s - late_s))
+            while sent < len(packets) and packets[sent][0] <= due_ns:
+                out.sendto(packets[sent][1], (host, int(to)))
+                sent += 1
+            try:
+                with urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz", timeout=2.0) as answer:
+                    return str(answer.read().decode())
+            except urllib.error.HTTPError as refusal:
+                return refusal.read().decode()
+
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            begun_s = time.monotonic()
+            waits(lambda: "s late by its own clock" in said(), "healthz tells of late telemetry", 3.0 + late_s + 15.0)
