@@ -25,8 +25,7 @@ from pymavlink import mavutil
 
 from adapters.batch import messages
 from adapters.logs.compressed import CompressedFile
-from adapters.logs.recordings import read_batches
-from adapters.logs.tlog import read_tlog
+from adapters.logs.recordings import read_batches, read_recording
 
 LOG = Path(__file__).parent.parent / "replay" / "data" / "copter_motor1.tlog.xz"
 WANTED = frozenset({"HEARTBEAT", "ATTITUDE", "SERVO_OUTPUT_RAW", "HIGHRES_IMU", "LOCAL_POSITION_NED"})
@@ -53,7 +52,7 @@ def agree(path: Path) -> int:
     theirs = (one for one in by_pymavlink(path) if not one.get_type().startswith(_NO_MESSAGE))
     batched = (message for batch in read_batches(path) for message in messages(batch))
     count = 0
-    for their, our, packed in zip(theirs, read_tlog(path), batched, strict=True):
+    for their, our, packed in zip(theirs, read_recording(path), batched, strict=True):
         count += 1
         assert repr(our) == repr(packed)
         fields = their.to_dict()
@@ -84,7 +83,7 @@ def main() -> None:
     arguments = parser.parse_args()
     readers: dict[str, Callable[[Path], Iterator[Any]]] = {
         "pymavlink recv_msg": by_pymavlink,
-        "as messages": read_tlog,
+        "as messages": read_recording,
         "batches": read_batches,
         "batches, wanted": lambda path: read_batches(path, WANTED),
     }

@@ -28,7 +28,8 @@ from adapters.logs.log_mapping import ONBOARD_SOURCES, builtin_mapping, parse_ma
 from adapters.logs.log_telemetry import telemetry
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader
-from adapters.logs.tlog import TlogReader, read_tlog
+from adapters.logs.recordings import read_recording
+from adapters.logs.tlog import TlogReader
 from adapters.logs.ulog import UlogReader
 from adapters.message import Message
 from adapters.source import CLOCK, MAVLINK, ULOG, ZENOH
@@ -42,7 +43,7 @@ _FIELD_NAMES = ("a", "b", "stamp", "seconds", "nanos", "value", "key", *_TAKEN_N
 
 
 def recorded_flight(count: int) -> list[Message]:
-    return list(itertools.islice(read_tlog(DATA / "copter_5s.tlog.xz"), count))
+    return list(itertools.islice(read_recording(DATA / "copter_5s.tlog.xz"), count))
 
 
 def as_recorded(messages: Iterable[Message]) -> None:

@@ -14,7 +14,7 @@ from fuzz_input import Draw, random_inputs
 from fuzz_target import Run, Target
 
 from adapters.batch import Batch, pack
-from adapters.logs.tlog import read_tlog
+from adapters.logs.recordings import read_recording
 from adapters.message import Message, silence
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
@@ -104,7 +104,7 @@ def silent_monitor(profile: Profile, sink: Sink) -> VehicleMonitor:
 
 
 def flight() -> list[Message]:
-    found = list(itertools.islice(read_tlog(DATA / "copter_5s.tlog.xz"), 1500))
+    found = list(itertools.islice(read_recording(DATA / "copter_5s.tlog.xz"), 1500))
     shift = START_NS - found[0].received_ns
     return [replace(message, received_ns=message.received_ns + shift) for message in found]
 

@@ -22,7 +22,8 @@ from adapters.errors import TelemetryError
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader
-from adapters.logs.tlog import TlogReader, read_tlog
+from adapters.logs.recordings import read_recording
+from adapters.logs.tlog import TlogReader
 from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
 from adapters.mavlink.mavlink_message import mavlink_types
 from adapters.mavlink.packets import PacketList, PacketScanner
@@ -87,7 +88,7 @@ def _compressed_seeds() -> list[bytes]:
 
 
 def _some_messages() -> list[Message]:
-    flight = list(itertools.islice(read_tlog(DATA / "copter_5s.tlog.xz"), 30))
+    flight = list(itertools.islice(read_recording(DATA / "copter_5s.tlog.xz"), 30))
     more = [
         Message(ZENOH, "arm/telemetry", START_NS, {"time_ns": 5, "data": [1.5, {"deep": "ü"}]}),
         Message(CLOCK, "silence", START_NS + 1, {}),

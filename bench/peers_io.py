@@ -28,9 +28,8 @@ from adapters.encoding.message_record import encode
 from adapters.encoding.record import Record
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.mcap_log import CHUNK_BYTES, MessageLogWriter
-from adapters.logs.mcap_reader import read_mcap_messages
-from adapters.logs.recordings import read_batches
-from adapters.logs.tlog import read_tlog
+from adapters.logs.mcap_reader import MessageLogReader
+from adapters.logs.recordings import read_batches, read_recording
 
 Writing = Callable[[Sequence[Record], Path], None]
 
@@ -120,7 +119,7 @@ def same_messages(path: Path) -> None:
         They do not.
     """
     batched = (message for batch in read_batches(path) for message in messages(batch))
-    for our, packed, their in zip(read_mcap_messages(path), batched, decoded(path), strict=True):
+    for our, packed, their in zip(MessageLogReader(path), batched, decoded(path), strict=True):
         assert repr(our) == repr(packed)
         assert our.received_ns == their.message.log_time
         for name, value in our.fields.items():
@@ -136,10 +135,10 @@ def measure(log: Path, repeat: int) -> dict[str, Any]:
         count = agree(path)
         parsing = {
             "pymavlink recv_msg": count / seconds(by_pymavlink, path, repeat),
-            "ours, as messages": count / seconds(read_tlog, path, repeat),
+            "ours, as messages": count / seconds(read_recording, path, repeat),
             "ours, batches": count / seconds(read_batches, path, repeat),
         }
-        records = [encode(message) for message in read_tlog(path)]
+        records = [encode(message) for message in read_recording(path)]
         writers: dict[str, Writing] = {"mcap": by_mcap, "foxglove-sdk": by_foxglove, "ours": by_us}
         writing = {}
         for name, write in writers.items():
@@ -157,7 +156,7 @@ def measure(log: Path, repeat: int) -> dict[str, Any]:
             "mcap, time-ordered, raw": time_ordered,
             "mcap, non-seeking, raw": non_seeking,
             "mcap, non-seeking, decoded": decoded,
-            "ours, as messages, decoded": read_mcap_messages,
+            "ours, as messages, decoded": MessageLogReader,
             "ours, batches, decoded": read_batches,
         }
         reading = {name: len(records) / seconds(read, file, repeat) for name, read in readers.items()}

@@ -24,7 +24,7 @@ from mcap.stream_reader import breakup_chunk
 from onboard_flights import dataflash_of, ulog_of
 
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.logs.tlog import read_tlog
+from adapters.logs.recordings import read_recording
 from adapters.message import Message as Telemetry
 from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
 from adapters.simulation.arm_source import arm_messages, arm_packets
@@ -42,7 +42,7 @@ def _run() -> ArmRun:
 @functools.cache
 def _flight() -> list[Telemetry]:
     # without a position fix: the times of all messages hang on the first one
-    return [one for one in islice(read_tlog(FLIGHT), 1300) if one.name != "GPS_RAW_INT"]
+    return [one for one in islice(read_recording(FLIGHT), 1300) if one.name != "GPS_RAW_INT"]
 
 
 def _tlog(path: Path) -> None:

@@ -13,7 +13,7 @@ from google.protobuf import descriptor_pb2
 from adapters.channels import parse_channel
 from adapters.encoding.foreign_record import foreign_decoder
 from adapters.encoding.record import Schema
-from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages
+from adapters.logs.mcap_reader import MessageLogReader
 from adapters.source import ZENOH
 
 HEADER = {"stamp": stamp(START_NS + 5), "frame_id": "base"}
@@ -63,7 +63,7 @@ def test_a_ros_2_bag_gives_the_fields_that_channels_name(tmp_path: Path, compres
 
 def test_a_type_is_read_by_the_definition_in_the_file(tmp_path: Path) -> None:
     fields = {"header": HEADER, "u": [1.0, 2.0], "y": [3.0, 4.0, 5.0]}
-    [message] = read_mcap_messages(
+    [message] = MessageLogReader(
         ros2_bag(tmp_path / "bag.mcap", {"/arm": (ARM_TYPE, ARM_DEFINITION, [(START_NS, fields)])})
     )
     assert message.fields == fields
@@ -120,7 +120,7 @@ def test_the_time_of_a_json_message_is_found_under_the_usual_names(tmp_path: Pat
     path = mcap_log(
         tmp_path / "log.mcap", "/k", ("K", "jsonschema", b"{}"), "json", [(START_NS, json.dumps(fields).encode())]
     )
-    [message] = read_mcap_messages(path)
+    [message] = MessageLogReader(path)
     assert message.name == "k"
     channel = parse_channel("c", {"message": "/k", "field": "x"}, "here")
     assert channel.message == "k"
@@ -136,11 +136,11 @@ def test_topics_of_others_are_not_taken_for_ours(tmp_path: Path) -> None:
         "protobuf",
         [(START_NS, kind(u=[1.0]).SerializeToString())],
     )
-    [message] = read_mcap_messages(path)
+    [message] = MessageLogReader(path)
     assert (message.source, message.name) == (ZENOH, "mavlink/from")
     for topic in ("/operator/reset", "/link/state", "/journal/x", "/clock/silence", "/mavlink/ATTITUDE"):
         path = mcap_log(tmp_path / "log.mcap", topic, ("other.Type", "jsonschema", b"{}"), "json", [(START_NS, b"{}")])
-        [message] = read_mcap_messages(path)
+        [message] = MessageLogReader(path)
         assert (message.source, message.name) == (ZENOH, topic[1:])
 
 

@@ -19,7 +19,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from adapters.encoding.record import Record, Schema
 from adapters.errors import StorageError, TelemetryError
 from adapters.logs.mcap_log import CHUNK_BYTES, MAX_CHANNELS, MessageLogWriter
-from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
+from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
 
@@ -94,12 +94,12 @@ def test_messages_that_fit_no_definition_are_kept_as_json(tmp_path: Path) -> Non
         Message(MAVLINK, "ATTITUDE", START_NS, {"roll": 0.1}, 1, 2),
         attitude(1),
     ]
-    assert list(read_mcap_messages(write(tmp_path / "log.mcap", odd))) == odd
+    assert list(MessageLogReader(write(tmp_path / "log.mcap", odd))) == odd
 
 
 def test_nan_and_infinity_from_json_come_back(tmp_path: Path) -> None:
     odd = Message(ZENOH, "k", START_NS, {"v": [float("inf"), -float("inf"), float("nan"), 2**70]})
-    [back] = read_mcap_messages(write(tmp_path / "log.mcap", [odd]))
+    [back] = MessageLogReader(write(tmp_path / "log.mcap", [odd]))
     assert repr(back) == repr(odd)
 
 
@@ -124,7 +124,7 @@ def test_what_no_record_can_hold_is_counted_and_the_log_goes_on(tmp_path: Path) 
         statistics = log.statistics()
     # ATTITUDE took the first of the topics
     assert statistics.unrecordable == len(bad) + 11
-    assert len(list(read_mcap_messages(tmp_path / "log.mcap"))) == statistics.records
+    assert len(list(MessageLogReader(tmp_path / "log.mcap"))) == statistics.records
 
 
 def test_a_stream_is_written_and_left_open() -> None:
@@ -214,7 +214,7 @@ def test_no_damage_ever_raises_anything_but_the_error_for_the_user(
     path = tmp_path_factory.mktemp("damage") / "log.mcap"
     path.write_bytes(broken[: data.draw(st.integers(0, len(broken)))])
     try:
-        for message in read_mcap_messages(path):
+        for message in MessageLogReader(path):
             assert message.source in (MAVLINK, ZENOH)
         read_mcap_metadata(path)
     except TelemetryError as error:
@@ -270,7 +270,7 @@ def test_logs_without_chunks_are_read_too(tmp_path: Path) -> None:
         for number in range(3):
             writer.add_message(channel, START_NS, json.dumps({"v": number}).encode(), START_NS)
         writer.finish()
-    assert [message.fields["v"] for message in read_mcap_messages(path)] == [0, 1, 2]
+    assert [message.fields["v"] for message in MessageLogReader(path)] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("name", ["log.mcap", "log.mcap.gz", "log.mcap.xz"])
@@ -279,13 +279,13 @@ def test_a_file_that_is_no_mcap_is_one_line_for_the_user(tmp_path: Path, name: s
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(TelemetryError, match=r"^[^\n]*log\.mcap[^\n]*not an MCAP file[^\n]*$"):
-        list(read_mcap_messages(path))
+        list(MessageLogReader(path))
 
 
 def test_a_path_that_cannot_be_opened_is_one_line_for_the_user(tmp_path: Path) -> None:
     with pytest.raises(TelemetryError, match=r"nothing\.mcap: [^\n]*No such file"):
-        list(read_mcap_messages(tmp_path / "nothing.mcap"))
+        list(MessageLogReader(tmp_path / "nothing.mcap"))
     with pytest.raises(TelemetryError, match=r"Is a directory"):
-        list(read_mcap_messages(tmp_path))
+        list(MessageLogReader(tmp_path))
     with pytest.raises(StorageError, match=r"x\.mcap: cannot be written: No such file"):
         MessageLogWriter(tmp_path / "nowhere" / "x.mcap")

@@ -11,7 +11,7 @@ from foreign_logs import START_NS, json_log, mcap_log
 from mcap.writer import CompressionType, Writer
 
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages
+from adapters.logs.mcap_reader import MessageLogReader
 from adapters.logs.recordings import Recording
 from adapters.message import LATEST_NS, Message
 from adapters.source import LINK, MAVLINK, ZENOH
@@ -55,7 +55,7 @@ def test_our_topics_are_wanted_by_the_name_of_their_messages(tmp_path: Path) -> 
         for source in (ZENOH, MAVLINK, LINK):
             for name in ("a", "b"):
                 log.write(Message(source, name, START_NS, {"n": 1}))
-    found = list(read_mcap_messages(tmp_path / "log.mcap", {"a"}))
+    found = list(MessageLogReader(tmp_path / "log.mcap", {"a"}))
     assert [(message.source, message.name) for message in found] == [(ZENOH, "a"), (MAVLINK, "a"), (LINK, "a")]
 
 
@@ -97,11 +97,11 @@ def test_of_a_block_that_breaks_off_its_beginning_is_read(tmp_path: Path, compre
     path = json_log(tmp_path / "log.mcap", "/k", rows(5000), compression)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 3])
-    found = [message.fields["n"] for message in read_mcap_messages(path)]
+    found = [message.fields["n"] for message in MessageLogReader(path)]
     assert found == [*range(len(found))]
     assert len(found) > 1000
     path.write_bytes(data[: len(data) // 3] + bytes(2 * len(data) // 3))
-    assert [message.fields["n"] for message in read_mcap_messages(path)] == found
+    assert [message.fields["n"] for message in MessageLogReader(path)] == found
 
 
 @pytest.mark.parametrize("hole", [b"", bytes(5000), b"\x06\x05" * 3000, b"\xff" * 40_000])
@@ -128,7 +128,7 @@ def test_messages_outside_of_blocks_are_found_again(tmp_path: Path) -> None:
     data = path.read_bytes()
     at = len(data) // 3
     path.write_bytes(data[:at] + data[at + 1000 :])
-    found = [message.fields["n"] for message in read_mcap_messages(path)]
+    found = [message.fields["n"] for message in MessageLogReader(path)]
     assert found == sorted(set(found))
     assert found[-1] == 1999
     assert len(found) > 1980

@@ -16,7 +16,7 @@ from onboard_flights import messages_of
 from adapters.errors import TelemetryError
 from adapters.logs import compressed
 from adapters.logs.damage import ScanStatistics
-from adapters.logs.tlog import TlogReader, read_tlog
+from adapters.logs.tlog import TlogReader
 from adapters.message import Message
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
@@ -55,7 +55,7 @@ def test_messages_are_those_that_pymavlink_reads(tmp_path: Path, monkeypatch: py
     path = tmp_path / "a.tlog"
     path.write_bytes(RAW)
     log = mavutil.mavlink_connection(str(path))
-    ours = list(read_tlog(path))
+    ours = list(messages_of(TlogReader(path)))
     for message in ours:
         theirs = log.recv_msg()
         fields = theirs.to_dict()
@@ -73,16 +73,18 @@ def test_compressed_logs_read_like_plain_ones(tmp_path: Path, suffix: str, pack:
     path = tmp_path / f"a.tlog{suffix}"
     path.write_bytes(pack(RAW))
     reader = TlogReader(path)
-    assert [key(one) for one in messages_of(reader)] == [key(one) for one in read_tlog(FLIGHT)]
+    assert [key(one) for one in messages_of(reader)] == [key(one) for one in messages_of(TlogReader(FLIGHT))]
     assert reader.statistics() == ScanStatistics(2683, 0, 0, 0, broken_off=False)
 
 
 def test_only_the_wanted_messages_are_decoded() -> None:
     wanted = {"ATTITUDE", "HEARTBEAT"}
     reader = TlogReader(FLIGHT, wanted)
-    assert [key(one) for one in messages_of(reader)] == [key(one) for one in read_tlog(FLIGHT) if one.name in wanted]
+    assert [key(one) for one in messages_of(reader)] == [
+        key(one) for one in messages_of(TlogReader(FLIGHT)) if one.name in wanted
+    ]
     assert reader.statistics().records == 2683
-    assert list(read_tlog(FLIGHT, ())) == []
+    assert list(messages_of(TlogReader(FLIGHT, ()))) == []
 
 
 def test_packets_come_byte_for_byte() -> None:
@@ -90,7 +92,7 @@ def test_packets_come_byte_for_byte() -> None:
 
 
 def test_times_are_nanoseconds_since_1970() -> None:
-    first = next(iter(read_tlog(FLIGHT)))
+    first = next(iter(messages_of(TlogReader(FLIGHT))))
     assert first.received_ns == int.from_bytes(RAW[:8]) * 1_000
 
 
@@ -183,9 +185,9 @@ def test_a_broken_xz_file_gives_what_could_be_decompressed(tmp_path: Path) -> No
     assert reader.statistics().broken_off
     packed[len(packed) // 2 :] = bytes(len(packed) - len(packed) // 2)
     path.write_bytes(packed)
-    assert len(list(read_tlog(path))) >= 1000
+    assert len(list(messages_of(TlogReader(path)))) >= 1000
 
 
 def test_a_missing_file_is_reported_by_name(tmp_path: Path) -> None:
     with pytest.raises(TelemetryError, match=r"none\.tlog: cannot be opened"):
-        list(read_tlog(tmp_path / "none.tlog"))
+        list(messages_of(TlogReader(tmp_path / "none.tlog")))

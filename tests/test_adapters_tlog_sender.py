@@ -11,7 +11,7 @@ import pytest
 
 from adapters.batch import messages as each
 from adapters.errors import TelemetryError
-from adapters.logs.tlog import read_tlog
+from adapters.logs.recordings import read_recording
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.message import Message
 from adapters.simulation.tlog_sender import main, send_tlog
@@ -29,7 +29,7 @@ def contents(messages: list[Message]) -> list[tuple[str, int, str]]:
 
 
 def test_renumbered_packets_lack_none(port: int) -> None:
-    expected = contents(list(read_tlog(FLIGHT)))
+    expected = contents(list(read_recording(FLIGHT)))
     with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
         sender = threading.Thread(
             target=send_tlog, args=(FLIGHT, f"udp:127.0.0.1:{port}", 10.0), kwargs={"renumber": True}
@@ -44,7 +44,7 @@ def test_renumbered_packets_lack_none(port: int) -> None:
 
 
 def test_a_link_receives_what_the_log_holds(port: int) -> None:
-    expected = contents(list(read_tlog(FLIGHT)))
+    expected = contents(list(read_recording(FLIGHT)))
     with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
         sender = threading.Thread(target=send_tlog, args=(FLIGHT, f"udp:127.0.0.1:{port}", 10.0))
         sender.start()
@@ -56,8 +56,8 @@ def test_a_link_receives_what_the_log_holds(port: int) -> None:
 
 
 def test_a_part_of_the_log_is_sent(port: int) -> None:
-    first = next(iter(read_tlog(FLIGHT))).received_ns
-    part = [m for m in read_tlog(FLIGHT) if 1.0 <= (m.received_ns - first) / 1e9 < 1.5]
+    first = next(iter(read_recording(FLIGHT))).received_ns
+    part = [m for m in read_recording(FLIGHT) if 1.0 <= (m.received_ns - first) / 1e9 < 1.5]
     with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
         assert send_tlog(FLIGHT, f"udp:127.0.0.1:{port}", 50.0, start_s=1.0, stop_s=1.5) == len(part)
         received: list[Message] = []

@@ -19,7 +19,7 @@ from adapters.encoding.protobuf_types import Field, class_from_schema, identifie
 from adapters.encoding.record import Schema
 from adapters.encoding.typed_record import TypedRecords, mavlink_class, to_protobuf
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.logs.mcap_reader import read_mcap_messages
+from adapters.logs.mcap_reader import MessageLogReader
 from adapters.message import Message
 from adapters.source import DATAFLASH, MAVLINK, ULOG, Source
 from monitor.recording.record_encoder import RecordEncoder
@@ -100,7 +100,7 @@ def test_what_no_type_can_hold_is_kept_as_json(tmp_path: Path, fields: dict[str,
     assert encode(message).encoding == "json"
     with MessageLogWriter(tmp_path / "a.mcap") as log:
         log.write(message)
-    assert list(read_mcap_messages(tmp_path / "a.mcap")) == [message]
+    assert list(MessageLogReader(tmp_path / "a.mcap")) == [message]
 
 
 def decoded(table: Any, payload: bytes) -> Message:

@@ -11,7 +11,6 @@ from adapters.batch import Batch, messages
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader
 from adapters.logs.recordings import packed, read_batches, read_recording
-from adapters.logs.tlog import read_tlog
 from adapters.message import Message
 from adapters.source import MAVLINK, OPERATOR, ZENOH
 from monitor.profile import read_profile
@@ -46,7 +45,7 @@ def all_messages(blocks: list[Batch]) -> list[str]:
 def test_blocks_of_a_recording_are_its_messages(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with MessageLogWriter(path) as log:
-        for number, message in enumerate(read_tlog(FLIGHT)):
+        for number, message in enumerate(read_recording(FLIGHT)):
             log.write(message)
             if number % 200 == 0:
                 log.write(ODD[number // 200 % len(ODD)])
@@ -76,7 +75,7 @@ def test_blocks_pass_over_what_cannot_be_decoded_and_count_it(tmp_path: Path) ->
 
 def test_a_recording_does_not_depend_on_how_the_stream_is_cut(tmp_path: Path) -> None:
     profile = read_profile(PROFILE)
-    stretch = [*read_tlog(FLIGHT)]
+    stretch = [*read_recording(FLIGHT)]
     stretch[40:40] = [*ODD, Message(MAVLINK, "ATTITUDE", START_NS, {"roll": 1.0}, 7, 1)]
     paths = tmp_path / "few.mcap", tmp_path / "many.mcap"
     for path, count in zip(paths, (3, 700), strict=True):

@@ -20,7 +20,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from adapters.batch import pack
-from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
+from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
 from adapters.message import Message
 from adapters.sample import Samples
 from adapters.source import MAVLINK, ZENOH
@@ -180,7 +180,7 @@ def test_telemetry_comes_back_in_the_order_of_recording_and_nothing_of_ours_with
             recorder.write(*messages[number : number + 5])
             recorder.estimates(estimates(number, 5))
             recorder.event(event(17))
-    assert list(read_mcap_messages(path)) == messages
+    assert list(MessageLogReader(path)) == messages
 
 
 def test_metadata_and_profile_are_inside(tmp_path: Path) -> None:
@@ -228,7 +228,7 @@ def test_a_clock_gone_mad_costs_its_records_and_not_the_recording(tmp_path: Path
         assert recorder.statistics().lost == 3
     assert len(decoded(path, "/fauio/alarm")) == 1
     assert len(decoded(path, "/fauio/motors/estimate")) == 1
-    assert list(read_mcap_messages(path)) == []
+    assert list(MessageLogReader(path)) == []
 
 
 def test_everything_flushed_survives_sigkill_on_every_topic(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from sampled import batches, packed, rows
 
 from adapters.batch import Batch
 from adapters.channels import Channel
-from adapters.logs.tlog import read_tlog
+from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.core.sampling import VehicleClock, sample_batch
@@ -278,7 +278,7 @@ def test_a_mark_to_restart_holds_for_the_next_sample() -> None:
 
 def test_a_recorded_flight_gives_the_same_samples() -> None:
     names = {"ATTITUDE", "SERVO_OUTPUT_RAW", "HIGHRES_IMU", "GPS_RAW_INT", "SCALED_PRESSURE"}
-    messages = [one for one in read_tlog(DATA / "copter_gps_drift05.tlog.xz") if one.name in names][:6_000]
+    messages = [one for one in read_recording(DATA / "copter_gps_drift05.tlog.xz") if one.name in names][:6_000]
     examples = {one.name: one.fields for one in messages}
     signals = strapdown_channels(examples).channels
     watch = compare(messages, (MOTORS, RATES, 100.0), (signals, [], 100.0), cuts=[1, 3_000, 3_001, 4_500])

@@ -26,7 +26,7 @@ from foreign_logs import (
 from mcap_ros2._dynamic import serialize_dynamic
 
 import fauio
-from adapters.logs.mcap_reader import read_mcap_messages
+from adapters.logs.mcap_reader import MessageLogReader
 from adapters.message import Message
 from adapters.simulation.arm import ArmFault, ArmRun, ArmScenario, simulate_arm
 from adapters.source import ZENOH
@@ -93,7 +93,7 @@ def test_a_converted_bag_replays_to_the_same_alarms(
 
 
 def test_a_bag_names_its_messages_as_ros_2_over_zenoh_does(tmp_path: Path) -> None:
-    message = next(iter(read_mcap_messages(bag(tmp_path / "bag.mcap", "none"))))
+    message = next(iter(MessageLogReader(bag(tmp_path / "bag.mcap", "none"))))
     (tmp_path / "ArmSample.msg").write_text(ARM_DEFINITION.partition("=")[0])
     _, fields = next(arm_rows(tracked()))
     payload = bytes(serialize_dynamic(ARM_TYPE, ARM_DEFINITION)[ARM_TYPE](fields))

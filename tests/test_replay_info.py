@@ -17,7 +17,6 @@ from ulog_writer import UlogWriter
 import fauio
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import read_recording
-from adapters.logs.tlog import read_tlog
 from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
@@ -188,7 +187,7 @@ def test_fields_of_any_type_and_size_are_told(
     fields: dict[str, Any], name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with MessageLogWriter(tmp_path / "odd.mcap") as log:
-        for number, message in enumerate(islice(read_tlog(FLIGHT), 400)):
+        for number, message in enumerate(islice(read_recording(FLIGHT), 400)):
             odd = message.name == name and number % 3
             log.write(replace(message, fields={**message.fields, **fields}) if odd else message)
     assert ask(capsys, tmp_path / "odd.mcap")["count"] == 400

@@ -19,7 +19,7 @@ from packet_stream import packet_sequence
 
 from adapters.batch import messages as each
 from adapters.errors import TelemetryError
-from adapters.logs.tlog import read_tlog
+from adapters.logs.recordings import read_recording
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.mavlink_message import packet_sender
 from adapters.mavlink.signing import SigningGuard, SigningKey
@@ -37,7 +37,7 @@ def contents(messages: list[Message]) -> list[tuple[str, str]]:
 
 def test_a_flight_is_what_the_vehicle_of_a_log_sent() -> None:
     flight = read_flight(FLIGHT, 9)
-    recorded = [message for message in read_tlog(FLIGHT) if message.system == 1]
+    recorded = [message for message in read_recording(FLIGHT) if message.system == 1]
     assert len(flight.packets) == len(recorded)
     assert {packet_sender(packet)[0] for _, packet in flight.packets} == {9}
     assert flight.packets[0][0] == 0
@@ -74,7 +74,7 @@ def test_a_link_receives_all_of_all_vehicles(port: int) -> None:
             received += arrived
             arriving = bool(arrived)
         assert link.statistics().lost == 0
-    recorded = contents([message for message in read_tlog(FLIGHT) if message.system == 1])
+    recorded = contents([message for message in read_recording(FLIGHT) if message.system == 1])
     for system in (4, 5, 6):
         assert contents([message for message in received if message.system == system]) == recorded
         times = sent[system]

@@ -316,11 +316,6 @@ def _batch(columns: list[Columns], single: Mapping[int, Message]) -> Batch:
     return gathered(columns, {int(index[at]): message for at, message in packed.others.items()})
 
 
-def read_mcap_messages(path: str | os.PathLike[str], only: Container[str] | None = None) -> Iterator[Message]:
-    """Return a log's telemetry in the order it was written; see :class:`MessageLogReader`."""
-    return iter(MessageLogReader(path, only))
-
-
 def read_mcap_metadata(path: str | os.PathLike[str], *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
     """Return a log's metadata records by name; see :meth:`MessageLogReader.metadata`."""
     return MessageLogReader(path).metadata(ahead_only=ahead_only)

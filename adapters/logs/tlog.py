@@ -10,13 +10,12 @@ from collections.abc import Container, Iterator
 from itertools import chain
 from pathlib import Path
 
-from adapters.batch import Batch, messages
+from adapters.batch import Batch
 from adapters.errors import TelemetryError
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.damage import ScanStatistics
 from adapters.mavlink.mavlink_columns import SequenceFindings, dialect, wanted_kinds
 from adapters.mavlink.packets import PacketList, PacketScanner
-from adapters.message import Message
 
 READ_AHEAD_BYTES = 1 << 20
 """Bytes of a log in a batch: half a minute of a flight."""
@@ -88,8 +87,3 @@ class TlogReader:
             if self._path.stat().st_size == 0:
                 raise TelemetryError(f"{self._path}: is empty; was the recording started, or the copy finished?")
             raise TelemetryError(f"{self._path}: holds no MAVLink packet; is it a telemetry log?")
-
-
-def read_tlog(path: str | os.PathLike[str], only: Container[str] | None = None) -> Iterator[Message]:
-    """Return the messages of a telemetry log; see :class:`TlogReader`."""
-    return (message for batch in TlogReader(path, only) for message in messages(batch))

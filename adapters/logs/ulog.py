@@ -250,10 +250,10 @@ class UlogReader(OnboardLogReader):
             ord("B"): self._flag,
             ord("C"): _tagged_text,
             ord("F"): self._define,
-            ord("I"): _information,
+            ord("I"): lambda body: _long_information(bytes(1) + body),
             ord("L"): _text,
             ord("M"): _long_information,
-            ord("O"): _dropout,
+            ord("O"): lambda body: (DROPOUT, {"duration_ms": _ID.unpack(body)[0]}),
             ord("P"): _parameter,
             ord("Q"): _parameter_default,
             ord("R"): self._unsubscribe,
@@ -427,10 +427,6 @@ def _tagged_text(body: bytes) -> tuple[str, dict[str, Any]]:
     return TEXT, {"timestamp": stamp_us, "level": level - _LEVELS.start, "tag": tag, "text": record_text(body[11:])}
 
 
-def _information(body: bytes) -> tuple[str, dict[str, Any]]:
-    return _long_information(bytes(1) + body)
-
-
 def _long_information(body: bytes) -> tuple[str, dict[str, Any]]:
     name, kind, value = decode_keyed(body[1:])
     return INFORMATION, {"key": name, "type": kind, "value": str(value), "continued": bool(body[0])}
@@ -446,10 +442,6 @@ def _parameter(body: bytes) -> tuple[str, dict[str, Any]]:
 def _parameter_default(body: bytes) -> tuple[str, dict[str, Any]]:
     _, fields = _parameter(body[1:])
     return PARAMETER_DEFAULT, {**fields, "sets": body[0]}
-
-
-def _dropout(body: bytes) -> tuple[str, dict[str, Any]]:
-    return DROPOUT, {"duration_ms": _ID.unpack(body)[0]}
 
 
 def _sync(body: bytes) -> None:
