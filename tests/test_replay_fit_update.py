@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import fauio
@@ -127,6 +127,8 @@ def test_a_damaged_flight_is_named(
     assert f"{path}: is not as the fit wrote it, damaged or changed; fit the profile anew to all its logs" in line
 
 
+# in the middle of the flight's span "e" makes a number of more than a float holds
+@example(cut=161, byte=ord("e"))
 @given(cut=st.integers(0, 400), byte=st.integers(0, 255))
 def test_a_list_of_flights_that_is_damaged_is_one_line_or_none(first: Path, cut: int, byte: int) -> None:
     path = first / "flights" / "fit.json"

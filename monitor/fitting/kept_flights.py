@@ -132,7 +132,7 @@ def read_kept(folder: Path) -> KeptFit:
         ) from error
     except ProfileError:
         raise
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
         raise ProfileError(f"{path}: cannot be read ({error!r}); {_ANEW}") from error
 
 
