@@ -152,8 +152,7 @@ class BlackBox:
         self._held.extend(records)
         self._arrived_ns.extend(times_ns)
         self._counts.held_bytes += sum([len(data) for _, data, _ in records])
-        while self._held and self._is_over(times_ns[-1]):
-            self._forget()
+        self._forget(times_ns[-1])
 
     def alarm(self, event: AlarmEvent) -> None:
         """Begin the clip of an alarm that was just raised; events of other states change nothing."""
@@ -217,20 +216,20 @@ class BlackBox:
         """Return whether a clip is over: after its span, or when the clock was set back to before it."""
         return not clip.begun_ns - self._before_ns <= now_ns <= clip.ends_ns
 
-    def _is_over(self, now_ns: int) -> bool:
-        """Return whether the oldest record has to be dropped: by age (also after the clock jumped back), or by size."""
-        if len(self._held) > self._held_records or self._counts.held_bytes > self._held_bytes:
-            return True
-        age_ns = now_ns - self._arrived_ns[0]
-        return age_ns > self._before_ns or age_ns < -self._before_ns
-
-    def _forget(self) -> None:
-        record = self._held.popleft()
-        self._arrived_ns.popleft()
-        topic, data, _ = record
-        self._counts.held_bytes -= len(data)
-        if self._topics[topic].name in _PHASE_TOPICS:
-            self._phase[topic] = record
+    def _forget(self, now_ns: int) -> None:
+        """Drop the oldest records: by age (also after the clock jumped back), or by size."""
+        held, arrived_ns, counts = self._held, self._arrived_ns, self._counts
+        first_ns, last_ns = now_ns - self._before_ns, now_ns + self._before_ns
+        while held and (
+            not first_ns <= arrived_ns[0] <= last_ns
+            or len(held) > self._held_records
+            or counts.held_bytes > self._held_bytes
+        ):
+            arrived_ns.popleft()
+            topic, data, _ = record = held.popleft()
+            counts.held_bytes -= len(data)
+            if self._topics[topic].name in _PHASE_TOPICS:
+                self._phase[topic] = record
 
     def _give(self, clip: _Clip, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> None:
         """Give a clip the records of its span, which times of telemetry end."""
