@@ -17,8 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from mcap_ros2._dynamic import serialize_dynamic
-from mcap_ros2.writer import Writer
+
+try:
+    from mcap_ros2._dynamic import serialize_dynamic
+    from mcap_ros2.writer import Writer
+except ModuleNotFoundError:
+    raise SystemExit("simulate.py needs mcap-ros2-support: pip install mcap-ros2-support") from None
 
 from adapters.encoding.message_definition import find_definition
 
