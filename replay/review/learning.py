@@ -17,6 +17,7 @@ from monitor.fitting.flights import part_of
 from monitor.profile import read_profile
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.vehicles.kinds import KINDS, fit_reading
+from monitor.views.panels import RunView, in_display_units
 from replay.fit import fit_profile
 from replay.player import Replay, interests, play_batches
 from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
@@ -113,10 +114,13 @@ def _typical(span: AlarmSpan) -> AlarmEvent:
 
 
 def _estimate(traces: Iterable[Trace], alarm: LearnedAlarm, facts: LogFacts) -> LogSignal | None:
-    for trace in traces:
+    for trace in in_display_units(RunView(tuple(traces), (), {})).traces:
         if trace.layout.observer == alarm.observer and alarm.channel in trace.layout.faults:
             times = (trace.unix_ns - facts.start_ns) / 1e9
-            column = trace.isolated[:, [trace.layout.faults.index(alarm.channel)]]
-            values = np.where(trace.armed[:, None], column, np.nan)
-            return LogSignal(times, values, (alarm.channel,), "", f"learned observer {alarm.observer}")
+            index = trace.layout.faults.index(alarm.channel)
+            values, unit = (
+                np.where(trace.armed[:, None], trace.isolated[:, [index]], np.nan),
+                trace.layout.fault_units[index],
+            )
+            return LogSignal(times, values, (alarm.channel,), unit, f"learned observer {alarm.observer}")
     return None
