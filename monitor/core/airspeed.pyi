@@ -3,6 +3,9 @@ from numpy.typing import NDArray
 
 from adapters.sample import Samples
 
+LAPSE: float
+EXPONENT: float
+
 class AirspeedCore:
     def __init__(self, dt: float, scale: float, noise: float, level: float, minimum: float) -> None: ...
     def run(

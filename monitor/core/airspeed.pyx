@@ -64,9 +64,9 @@ cdef double _WAITED_S = 60.0
 # Steepest climb or dive, as a share of the speed: beyond 30 degrees a climb by GPS altitudes is late by too much.
 cdef double _STEEPEST = 0.5
 # Standard atmosphere: temperature's lapse per metre over that at sea level, and half the exponent of the density.
-cdef double _LAPSE = 2.25577e-5
-cdef double _EXPONENT = 2.12794
-cdef double _HIGHEST = 2e4
+LAPSE = 2.25577e-5
+EXPONENT = 2.12794
+cdef double _LAPSE = LAPSE, _EXPONENT = EXPONENT, _HIGHEST = 2e4
 
 cdef enum:
     # Values of a tick that wait: true airspeed, velocity north, east, climb, whether they are measured.

@@ -19,7 +19,7 @@ from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
 from gains.synthesis.convex import design_convex
 from monitor.alarms.excuse import ExcuseRule
-from monitor.core.airspeed import AirspeedCore
+from monitor.core.airspeed import EXPONENT, LAPSE, AirspeedCore
 from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, raw_flights, transformed
@@ -159,7 +159,7 @@ def _scale(flights: Sequence[Array], rate_hz: float) -> tuple[float, float]:
                 speed * turn(np.radians(course)) - w for turn, w in zip((np.cos, np.sin), x[wind], strict=True)
             )
             climb = np.gradient(altitude) * rate_hz if len(altitude) > 1 else np.zeros(len(altitude))
-            true = airspeed * (1.0 - 2.25577e-5 * altitude) ** -2.12794
+            true = airspeed * (1.0 - LAPSE * altitude) ** -EXPONENT
             s = np.maximum(np.sqrt(north * north + east * east + climb * climb), 1e-6)
             J = np.zeros((len(s), len(x)))
             J[:, 0], J[:, wind] = true, np.column_stack([north / s, east / s])
