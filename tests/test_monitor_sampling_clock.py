@@ -79,6 +79,15 @@ def test_silence_of_less_than_ten_seconds_is_no_new_boot() -> None:
     assert (clock.boot, clock.newest_ns) == (0, 108 * SECOND + 10 * MS)
 
 
+def test_what_a_radio_held_up_before_its_link_was_opened_is_no_second_clock() -> None:
+    clock = VehicleClock()
+    # three of a stamp every half a second, all at once, and then as jitter lets them come
+    for k, arrival_ms in enumerate((0, 2, 6, 19, 24, 27, 33, 36, 38, 194, 231, 377, 723, 794, 838, 1109, 1142, 1180)):
+        clock.observe(12 * SECOND + k // 3 * 500 * MS, UNIX + 13 * SECOND + arrival_ms * MS)
+    assert clock.newest_ns == 12 * SECOND + 2500 * MS
+    assert clock.contested_ns == 0
+
+
 def test_a_jump_ahead_of_more_than_ten_seconds_starts_anew() -> None:
     clock = running()
     clock.observe(200 * SECOND, UNIX + 101 * SECOND)

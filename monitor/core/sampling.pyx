@@ -204,11 +204,11 @@ cdef class VehicleClock:
     """Follows one vehicle's clock through its messages, and depends on nothing but them.
 
     Belief. A stamp within 1 s of the newest one, before or after, is believed at once, unless it leads: is more than
-    0.25 s ahead both of the newest and of when it arrives. It is believed when others have led as far for 0.25 s, and
-    none came between that did not: the clock was set. One further away is believed only when the next message has
-    another stamp near it (at most 1 s before or 10 s after), so a single damaged stamp changes nothing. Once believed,
-    a step back of more than 1 s is a reboot and a step ahead of more than 10 s a clock that was set: both start the
-    clock anew and count in ``boot``.
+    0.25 s ahead both of the newest and of when it arrives, after the first 5 s. It is believed when others have led as
+    far for 0.25 s, and none came between that did not: the clock was set. One further away is believed only when the
+    next message has another stamp near it (at most 1 s before or 10 s after), so a single damaged stamp changes
+    nothing. Once believed, a step back of more than 1 s is a reboot and a step ahead of more than 10 s a clock that
+    was set: both start the clock anew and count in ``boot``.
 
     Contests. Far stamps that go on as fast as time while near ones of the same channel come in between are another
     sender's, as are single stamps further ahead of their arrival than any before them. Three of them within 10 s are a
@@ -341,7 +341,8 @@ cdef class VehicleClock:
         """Learn a stamp near the newest one; return whether it leads, which none has done for long."""
         cdef nanoseconds delay = received - stamp, ahead = stamp - self.newest_ns
         cdef wide apart = <wide>delay - self._leader.delay
-        if not self._count or ahead <= _EARLY or self._delay_at(stamp) - delay <= _EARLY:
+        # What a link held up before it was opened comes at once, and the least delay is not known before 5 s.
+        if self._count < 2 or ahead <= _EARLY or self._delay_at(stamp) - delay <= _EARLY:
             if self._led and received > self._leader.stamp + self._leader.delay:
                 self._led = False
                 # Nothing but another clock makes a stamp lead: two of them are enough.
