@@ -236,6 +236,16 @@ def test_what_jitter_overtakes_is_no_loss_and_what_is_missing_is() -> None:
     assert 3000 - len(due) - 10 < lost < 3000 - len(due) + 60
 
 
+def test_the_same_packet_a_turn_of_numbers_later_is_neither_a_duplicate_nor_a_loss() -> None:
+    counter = SequenceFindings()
+    for k in range(1024):
+        packets = PacketList(dialect())
+        # one says what the one 256 before it said
+        PacketScanner(dialect()).scan(packet(344 if k == 600 else k), packets, 10**18 + 3_000_000 * k)
+        counter.decoded(packets, wanted_kinds())
+    assert counter.lost() == {}
+
+
 def test_a_restart_or_a_long_gap_is_no_loss() -> None:
     with udp() as (link, send):
         for k in (*range(100, 120), *range(0, 30), *range(160, 180)):

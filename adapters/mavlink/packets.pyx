@@ -487,10 +487,11 @@ cdef class SequenceCounter:
         cdef bint silent = row.received_ns - known.received_ns >= SILENT_NS
         fresh = before.received_ns > 0 and 0 <= row.received_ns - before.received_ns < FRESH_NS
         known.received_ns = row.received_ns
-        if fresh and before.checksum == checksum:
-            return False
         ahead = (row.sequence - known.newest) & 0xFF
         index = known.newest + (ahead if ahead < 128 or silent else ahead - 256)
+        # A turn of numbers later one packet of 65,536 has the same checksum and is none that came twice.
+        if fresh and before.checksum == checksum and (silent or before.index == index):
+            return False
         gone = (row.sequence - known.counted) & 0xFF
         if before.received_ns == MISSING and before.index == index:
             self._lost[row.system] -= 1
