@@ -13,8 +13,12 @@ from replay.review.findings.rule import Judgement, Rule
 _AFTER_S = 5.0
 """Seconds after take-off in which a reset is usual: yaw and height are aligned anew when the ground no longer disturbs
 the compass and the barometer (PX4 does so from 1.5 m on)."""
-_STEPS = {"position": (slice(0, 2), "m"), "height": (slice(2, 3), "m")}
-_STEPS |= {"velocity": (slice(3, 5), "m/s"), "climb": (slice(5, 6), "m/s")}
+_STEPS = {
+    "position": (slice(0, 2), "m"),
+    "height": (slice(2, 3), "m"),
+    "velocity": (slice(3, 5), "m/s"),
+    "climb": (slice(5, 6), "m/s"),
+}
 """Of what is counted: its columns of the steps, and their unit."""
 
 
