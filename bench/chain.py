@@ -122,26 +122,34 @@ def page(results: dict[float, tuple[list[str], list[Tried]]]) -> Iterator[str]:
 
 INTRODUCTION = """# From command to thrust
 
-    python bench/chain.py --write
+This page shows whether fauio tells a weak speed controller, a damaged propeller and a bad motor apart. It does, in
+simulation, if controllers report speed and current; the tables count the names. `python bench/chain.py --write` makes
+this page.
 
-makes this page. A simulated quadrotor in gusts and random manoeuvres (`tests/simulated_chain.py`) has speed controllers
-that apply less of the battery's voltage than commanded (10 % less makes a motor turn 5 % slower), propellers that give
-less thrust at their speed and take as much less current, and motors that draw more current at theirs. Profiles are
-fitted on two healthy flights; the flights with faults are others. No recording with such faults and their truth is at
-hand: of real ones it was only seen that a fit goes through. Of two logs of PX4 with speeds at 3 and 4 Hz, 1.4 % are
-left of speeds over commands in one, and 8 % in an acrobatic one, which is too much to watch; currents as those
-controllers report them leave 30 % and more, so that no motor could be watched by its current.
+**Not measured on real faults.** No recording with such faults and their truth is at hand. Two logs of PX4 with speeds
+at 3 and 4 Hz could be fitted: 1.4 % of the speeds stay unexplained by commands in one, and 8 % in an acrobatic one,
+too much to watch. Currents as those controllers report them leave 30 % and more, so no motor could be watched by its
+current.
 
-**One cause, one alarm.** Where speeds come slowly the motors observer, which goes by commands, raises `motorN` first.
-What a motor's controller or propeller shows then says where between command and thrust that loss is: `escN` where the
-speed does not follow the command, `propN` where the thrust does not follow the speed. It is said in the active alarm,
-in its sentence and its field `part`, and is none of its own; the alarm is active until both are gone. Where the
-controller or the propeller is seen first, its alarm explains the motor's, which is not raised. An excuse with
-`same_cause` says so in a profile ([profiles](profiles.md)); the alarm desk is the one place that acts on it. A motor
-that ArduPilot's simulator weakens turns slower than commanded: its alarm `motorN` names `escN`.
+**The simulation** (`tests/simulated_chain.py`) is a quadrotor in gusts and random manoeuvres. Profiles are fitted on
+two healthy flights; the flights with faults are others.
 
-Each row counts flights in which a fault was given this name, by an alarm or in the motor's; "also" is what else was
-raised.
+| fault | effect |
+|---|---|
+| esc | the controller applies less of the battery's voltage than commanded; 10 % less makes a motor turn 5 % slower |
+| prop | the propeller gives less thrust at its speed, and takes as much less current |
+| motor | the motor draws more current at its speed |
+
+**One cause, one alarm.** If speeds come slowly, the motors' observer, which uses commands, raises `motorN` first.
+Controller and propeller then show where the loss is: `escN` if the speed does not follow the command, `propN` if the
+thrust does not follow the speed. The active alarm reports it in its message and its field `part`; it raises no other
+alarm. The alarm is active until both have ended. If the controller or the propeller is seen first, its alarm explains
+the motor's, which is not raised. An excuse with `same_cause` in the
+[profile](profiles.md#observers-that-read-raw-signals) states that. A motor that ArduPilot's simulator weakens turns
+slower than commanded: its alarm `motorN` names `escN`.
+
+Each row counts the flights in which a fault was given this name, by its own alarm or in the motor's; "also" lists
+other alarms.
 """
 
 
