@@ -6,7 +6,7 @@ import pytest
 from gains.identification.segment import Segment
 from monitor.fitting.fit_report import explained_change
 from monitor.vehicles.multirotor.identify import MultirotorFit, identify_multirotor, multirotor_plant
-from monitor.vehicles.multirotor.validation import motor_effect, predict_rates, response_drift
+from monitor.vehicles.multirotor.validation import motor_effect, predict_rates
 
 RATE_HZ = 100.0
 A = np.array([0.98, 0.98, 0.99])
@@ -15,7 +15,7 @@ TAPS = np.array([0.0, 0.6, 0.4])
 GUST = 2e-3
 
 
-def flight(seed: int, seconds: float, sag_per_minute: float = 0.0, gust_s: float = 0.0) -> Segment:
+def flight(seed: int, seconds: float, gust_s: float = 0.0) -> Segment:
     """Simulate random manoeuvres; gusts are white or have a correlation time."""
     rng = np.random.default_rng(seed)
     count = round(seconds * RATE_HZ)
@@ -26,8 +26,7 @@ def flight(seed: int, seconds: float, sag_per_minute: float = 0.0, gust_s: float
     y[:, 3] = -9.81 * u.sum(axis=1) / 2.0
     for k in range(count - 1):
         gust = keep * gust + np.sqrt(1.0 - keep * keep) * GUST * rng.normal(size=3)
-        thrust = 1.0 + sag_per_minute * k / RATE_HZ / 60.0
-        y[k + 1, :3] = A * y[k, :3] + thrust * B @ effect[k] + gust
+        y[k + 1, :3] = A * y[k, :3] + B @ effect[k] + gust
     return Segment(u, y)
 
 
@@ -74,13 +73,3 @@ def test_predictions_of_unseen_flight_miss_by_the_gusts_alone(model: MultirotorF
     assert np.array_equal(several[0].measured, one[0].measured[9:])
     assert np.all(explained_change(several) > explained_change(one))
     assert predict_rates(model, [Segment(unseen[0].u[:5], unseen[0].y[:5])], 10) == []
-
-
-def test_a_sagging_battery_shows_as_drift_and_a_steady_one_does_not() -> None:
-    for sag, seen in ((-0.05, True), (0.0, False)):
-        flights = [[flight(seed, 90.0, sag)] for seed in (10, 11)]
-        fit, _ = identify_multirotor([flight[0] for flight in flights], RATE_HZ)
-        found = response_drift(fit, flights)
-        assert found.per_minute == pytest.approx(sag, abs=4 * found.error + 0.003)
-        assert found.minutes == pytest.approx(1.5, abs=0.01)
-        assert found.matters == seen

@@ -76,7 +76,7 @@ from monitor.vehicles.multirotor.trim import (
     smallest_loss,
     usable_segments,
 )
-from monitor.vehicles.multirotor.validation import Drift, predict_rates, response_drift
+from monitor.vehicles.multirotor.validation import predict_rates
 from monitor.vehicles.multirotor.voltage import fit_supply
 
 SHOWN_S = 10.0
@@ -367,8 +367,7 @@ def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
     fastest_hz = common_rate_hz(request.surveys, source.channels)
     rate_hz = request.grid_hz(min(fastest_hz, _ENOUGH_HZ))
     flights = [flight_samples(log(), source, rate_hz, gate, drive.supply) for log in request.logs]
-    stretches = [flight.segments() for flight in flights]
-    segments = [segment for flight in stretches for segment in flight]
+    segments = [segment for flight in flights for segment in flight.segments()]
     records = [flight.segments(round(_BRIDGED_S * rate_hz)) for flight in flights]
     frame = _frame_of(request, drive)
     origin = "the vehicle's parameters"
@@ -383,9 +382,8 @@ def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
         known_of = "hardly known" if frame is None else f"from geometry only ({frame.name}, from {origin})"
         from_frame = f"; yaw axis {known_of}"
     comparison = compare_kept_back(records, rate_hz)
-    drift = response_drift(model, stretches)
     motors = tuple(channel.name for channel in drive.inputs)
-    known = ", ".join(f"{axis} {100 * error:.1f} %" for axis, error in zip(_AXES, uncertainty.of_axes, strict=True))
+    known = _percentages(_AXES, uncertainty.of_axes)
     return _Identified(
         model=model,
         source=source,
@@ -395,11 +393,11 @@ def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
         gyros=True,
         times=Times(),
         smallest_loss=_SMALLEST_LOSS,
-        findings={**_findings(model, motors, uncertainty, drift), "not_told": [*np.array(_AXES)[~told].tolist()]},
+        findings={**_findings(model, motors, uncertainty), "not_told": [*np.array(_AXES)[~told].tolist()]},
         line=f"model {rate_hz:g} Hz, motors {1000 * uncertainty.times_s.sum():.0f} ms late; standard errors of what "
         f"they do: {known}{from_frame}",
         details=(
-            *_details(motors, uncertainty, drift),
+            f"standard error of each motor's effect: {_percentages(motors, uncertainty.relative)}",
             *(
                 ("on data kept back:", *(f"  {line}" for line in comparison_lines(comparison)))
                 if comparison
@@ -591,9 +589,7 @@ def _alarms(
     return [*alarms, unexplained_alarm(observer, evidence, rate_hz, share, floor)]
 
 
-def _findings(
-    model: MultirotorFit, motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift
-) -> dict[str, object]:
+def _findings(model: MultirotorFit, motors: Sequence[str], uncertainty: MotorUncertainty) -> dict[str, object]:
     return {
         "axis_relative_error": dict(zip(_AXES, uncertainty.of_axes.tolist(), strict=True)),
         "damping_per_s": dict(zip(_AXES, (-np.log(model.a) * model.rate_hz).tolist(), strict=True)),
@@ -602,18 +598,11 @@ def _findings(
         "thrust_square_share": model.square,
         "effectiveness_error": {motor: uncertainty.B_error[:, i].tolist() for i, motor in enumerate(motors)},
         "effectiveness_relative_error": dict(zip(motors, uncertainty.relative.tolist(), strict=True)),
-        "response_drift_per_minute": {"value": drift.per_minute, "standard_error": drift.error},
     }
 
 
-def _details(motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift) -> tuple[str, ...]:
-    known = ", ".join(f"{motor} {100 * error:.1f} %" for motor, error in zip(motors, uncertainty.relative, strict=True))
-    found = f"{100 * drift.per_minute:+.2f} +- {100 * drift.error:.2f} % per minute in the air"
-    meaning = "changes as they do when the battery sags" if drift.matters else "does not change as the battery drains"
-    return (
-        f"standard error of each motor's effect: {known}",
-        f"the response to commands {meaning} ({found})",
-    )
+def _percentages(names: Sequence[str], shares: NDArray[np.float64]) -> str:
+    return ", ".join(f"{name} {100 * share:.1f} %" for name, share in zip(names, shares, strict=True))
 
 
 def _lines(
