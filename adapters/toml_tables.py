@@ -10,19 +10,22 @@ from __future__ import annotations
 import math
 import re
 import tomllib
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from adapters.errors import FauioError
-from adapters.toml_lines import KeyPath, key_lines, line_of
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 _Choice = TypeVar("_Choice", bound=str)
+
+KeyPath = tuple[str | int, ...]
+"""Keys and indices that lead to a value: ``("vehicle", 0, "name")``."""
 
 LARGEST_BYTES = 1 << 20
 """Largest file that is read; chosen: fifty times the largest model or configuration here, and parsed in a second."""
@@ -102,15 +105,14 @@ class TomlFile:
         """Raise all mistakes so far, one line each, in the order of the file."""
         if not self._mistakes:
             return
-        lines = key_lines(self._text)
-        placed = [(*self._place(lines, path), message) for path, message in self._mistakes]
+        placed = [(*self._place(path), message) for path, message in self._mistakes]
         placed.sort(key=lambda item: item[0])
         raise self._error(*(f"{place}: {message}" for _, place, message in placed))
 
-    def _place(self, lines: dict[KeyPath, int], path: KeyPath) -> tuple[int, str]:
+    def _place(self, path: KeyPath) -> tuple[int, str]:
         if path and path[0] in self._overrides:
             return 0, "command line"
-        line = line_of(lines, path)
+        line = line_of(self._text, path)
         return (0, self.name) if line is None else (line, f"{self.name}:{line}")
 
 
@@ -463,6 +465,41 @@ def _dotted(path: KeyPath) -> str:
     for key in path:
         dotted += f"[{key}]" if isinstance(key, int) else f".{_toml_key(key)}" if dotted else _toml_key(key)
     return dotted
+
+
+_TOKEN = re.compile(
+    r'"""(?:[^\\]|\\.)*?"{3,5}|' + r"'''.*?'{3,5}|" + r'"(?:[^"\\\n]|\\.)*"|' + r"'[^'\n]*'|#[^\n]*|[\[\]{}\n]",
+    re.DOTALL,
+)
+"""What tells where a statement ends: texts and comments, in which nothing does, brackets and ends of lines."""
+
+
+def line_of(text: str, path: KeyPath) -> int | None:
+    """Return the line, from 1, where the statement stands that gives the innermost part of a path; None without any.
+
+    The standard library's parser does not tell. Whatever ends with a statement is a valid text, and the shortest one
+    that has the key ends with the statement that gives it.
+    """
+    starts, depth = [0], 0
+    for token in _TOKEN.finditer(text):
+        depth += (token[0] in "[{") - (token[0] in "]}")
+        if token[0] == "\n" and not depth:
+            starts.append(token.end())
+    inner = path[: _found(path, tomllib.loads(text))]
+    if not inner:
+        return None
+    at = bisect_left(starts[1:], True, key=lambda end: _found(inner, tomllib.loads(text[:end])) == len(inner))
+    return text.count("\n", 0, starts[at]) + 1
+
+
+def _found(path: KeyPath, content: Any) -> int:
+    """Return how many keys of a path lead somewhere in a content."""
+    for count, key in enumerate(path):
+        try:
+            content = content[key]
+        except (LookupError, TypeError):
+            return count
+    return len(path)
 
 
 def _present(path: KeyPath, content: Any) -> KeyPath:

@@ -15,7 +15,6 @@ from fuzz_target import Run, Target, only
 from adapters.batch import pack
 from adapters.errors import ConfigError, ModelError, ProfileError
 from adapters.message import silence
-from adapters.toml_lines import key_lines
 from gains.plants.model_file import read_model
 from gains.synthesis.gains_file import read_gains
 from monitor.configuration.config import read_config
@@ -29,7 +28,6 @@ def _toml(folder: Path) -> Run:
 
     def run(data: bytes) -> None:
         path.write_bytes(data)
-        key_lines(data.decode(errors="replace"))
         try:
             read_config(path)
         except ConfigError as error:

@@ -341,6 +341,6 @@ def test_channels_that_the_profile_does_not_have_are_told_with_those_it_has(
         "monitor/flood"
     )
     wrong = f"which is no channel of {tmp_path / 'arm'}; its channels are {known}"
-    assert latched == f"7: 'vehicle[0].latched[1]' is 'arm/encoders', {wrong}"
+    assert latched == f"5: 'vehicle[0].latched[1]' is 'arm/encoders', {wrong}"
     assert out_of_service == f"9: 'vehicle[0].out_of_service[2]' is 'motors/motor1', {wrong}"
     assert read(tmp_path, text.replace("encoders", "motor").replace("motors/motor1", "link/link")).vehicle

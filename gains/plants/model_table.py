@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from adapters.errors import ModelError
-from adapters.toml_lines import KeyPath
-from adapters.toml_tables import Table
+from adapters.toml_tables import KeyPath, Table
 from gains.plants.plant import FloatArray, checked_array
 from gains.plants.slopes import Interval
 

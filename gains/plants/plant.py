@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adapters.errors import ModelError
-from adapters.toml_lines import KeyPath
+from adapters.toml_tables import KeyPath
 
 FloatArray = NDArray[np.float64]
 Domain = Literal["continuous", "discrete"]

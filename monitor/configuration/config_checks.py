@@ -7,7 +7,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from adapters.toml_lines import KeyPath
+from adapters.toml_tables import KeyPath
 from monitor.configuration.config_values import listens_beyond_loopback
 
 if TYPE_CHECKING:
