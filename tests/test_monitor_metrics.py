@@ -21,7 +21,7 @@ from monitor.service.health import (
     health_json,
     problems,
 )
-from monitor.service.latency import LatencyHistogram
+from monitor.service.latency import Latencies
 from monitor.service.metrics import METRICS, HealthCollector, render
 
 ROOT = Path(__file__).parent.parent
@@ -38,7 +38,7 @@ FLAGS = (
 
 
 def health() -> Health:
-    histogram = LatencyHistogram()
+    histogram = Latencies()
     histogram.add(milliseconds * 1_000_000 for milliseconds in (1, 2, 3, 40))
     return Health(
         process=ProcessHealth(

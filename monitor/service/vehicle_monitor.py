@@ -28,7 +28,7 @@ from monitor.pipeline import Pipeline, handover_message
 from monitor.recording.archive import ArchiveStatistics
 from monitor.service.election import first_number
 from monitor.service.health import ChannelHealth, LinkHealth, ObserverHealth, VehicleHealth, VehicleState
-from monitor.service.latency import LatencyHistogram
+from monitor.service.latency import Latencies
 from monitor.service.telemetry_watch import TelemetryWatch
 from monitor.service.vehicle_facts import VehicleFacts
 
@@ -86,8 +86,8 @@ class VehicleMonitor:
     ) -> None:
         self._settle = settle
         self.pipeline = pipeline
-        self.latency = LatencyHistogram()
-        self.alarm_latency = LatencyHistogram()
+        self.latency = Latencies()
+        self.alarm_latency = Latencies()
         self._archives = tuple(archives)
         self._journal = journal
         self._on_event = on_event
@@ -340,7 +340,7 @@ class VehicleMonitor:
                 for name, counts in self.pipeline.statistics().items()
             ),
             channels=self._channel_health(),
-            latency=self.latency.interval(),
+            latency=self.latency.interval,
             latency_buckets=self.latency.buckets(),
             recorder=recorder,
         )
