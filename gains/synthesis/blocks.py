@@ -12,10 +12,11 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adapters.errors import InaccurateError, ModelError
 from gains.analysis.augment import augment
-from gains.plants.plant import FloatArray, Plant
+from gains.plants.plant import Plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.convex import design_convex
 from gains.synthesis.design import Design, observer_matrices
@@ -39,30 +40,31 @@ def blocks_of(plant: Plant) -> tuple[PlantBlock, ...]:
     ModelError
         The plant is continuous or has nonlinearities.
     """
+    from scipy.linalg import block_diag
+    from scipy.sparse.csgraph import connected_components
+
     if plant.rate_hz is None or plant.nonlinearities:
         raise ModelError(f"{plant.name}: only discrete plants without nonlinearities are designed in blocks")
-    n, p = len(plant.states), len(plant.outputs)
-    columns = [
-        np.hstack([np.vstack([plant.A, plant.C]), _lower(plant.D_f, n), _lower(plant.D_1, n)]),
-        np.hstack([_upper(plant.E_f, p), _upper(plant.E_1, p)]),
-    ]
-    together = np.eye(n + p, dtype=np.bool_)
-    for k, column in enumerate(np.hstack(columns).T):
-        members = np.flatnonzero(column)
-        if k < n:
-            members = np.append(members, k)
-        together[np.ix_(members, members)] = True
-    for _ in range(n + p):
-        together = together @ together
-    groups: dict[tuple[int, ...], None] = {tuple(np.flatnonzero(row).tolist()): None for row in together}
+    n = len(plant.states)
+    reach = np.hstack(
+        [
+            np.vstack([np.abs(plant.A) + np.eye(n), plant.C]),
+            block_diag(np.hstack([plant.E_f, plant.E_1]), np.hstack([plant.D_f, plant.D_1])),
+        ]
+    )
+    count, label = connected_components(np.abs(reach) @ np.abs(reach).T)
+
+    def members(belong: NDArray[np.bool_]) -> tuple[int, ...]:
+        return tuple(np.flatnonzero(belong).tolist())
+
     return tuple(
         PlantBlock(
-            states=tuple(i for i in members if i < n),
-            outputs=tuple(i - n for i in members if i >= n),
-            sensor_faults=_inside(plant.D_f, [i - n for i in members if i >= n]),
-            actuator_faults=_inside(plant.E_f, [i for i in members if i < n]),
+            states=members(label[:n] == k),
+            outputs=members(label[n:] == k),
+            sensor_faults=members(plant.D_f[label[n:] == k].any(axis=0)),
+            actuator_faults=members(plant.E_f[label[:n] == k].any(axis=0)),
         )
-        for members in groups
+        for k in range(count)
     )
 
 
@@ -138,15 +140,3 @@ def block_plant(plant: Plant, block: PlantBlock) -> Plant:
         disturbances=tuple(replace(w, column=w.column[states]) for w in plant.disturbances if np.any(w.column[states])),
         noises=tuple(replace(w, column=w.column[outputs]) for w in plant.noises if np.any(w.column[outputs])),
     )
-
-
-def _inside(columns: FloatArray, rows: list[int]) -> tuple[int, ...]:
-    return tuple(np.flatnonzero(np.any(columns[rows], axis=0)).tolist()) if rows else ()
-
-
-def _lower(columns: FloatArray, n: int) -> FloatArray:
-    return np.vstack([np.zeros((n, columns.shape[1])), columns])
-
-
-def _upper(columns: FloatArray, p: int) -> FloatArray:
-    return np.vstack([columns, np.zeros((p, columns.shape[1]))])
