@@ -6,23 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import tau
 
-from adapters.channels import STANDARD_GRAVITY, Channel
+from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from monitor.fitting.output_functions import Actuator, actuator_channels
-from monitor.fitting.survey import MOTOR_MESSAGE, Survey
+from monitor.fitting.survey import IMUS, MOTOR_MESSAGE, Survey, in_every
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.slow_telemetry import LOG_FASTER
 
 _ATTITUDE = "ATTITUDE"
-# Messages and the m/s^2 in their units: MAVLink gives milli-g where it is not SI.
-_IMU = (("HIGHRES_IMU", 1.0), ("SCALED_IMU", STANDARD_GRAVITY / 1000.0), ("RAW_IMU", STANDARD_GRAVITY / 1000.0))
 _ANGLES = {"roll": "roll", "pitch": "pitch", "yaw": "yaw"}
 _RATES = {"roll_rate": "rollspeed", "pitch_rate": "pitchspeed", "yaw_rate": "yawspeed"}
 _FORCES = {"forward_acceleration": "xacc", "lateral_acceleration": "yacc", "vertical_acceleration": "zacc"}
-EFFECT_MESSAGES = (
-    FlightPhase.interests | PARAMETER_MESSAGES | {MOTOR_MESSAGE, _ATTITUDE} | {message for message, _ in _IMU}
-)
+EFFECT_MESSAGES = FlightPhase.interests | PARAMETER_MESSAGES | {MOTOR_MESSAGE, _ATTITUDE, *IMUS}
 """Messages of attitude, acceleration and servo outputs, of what these drive, and of the phase of flight."""
 _RATES_HZ = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
 """Rates of the grid, hertz: those that autopilots are asked for, so that samples fall on messages."""
@@ -51,23 +47,20 @@ def effect_signals(
     TelemetryError
         A message that is needed is missing or comes too seldom; the text says which to record.
     """
-    common = set.intersection(*(set(survey.rate_hz) for survey in surveys))
-    imu = next((source for source in _IMU if source[0] in common), None)
     for message, what in ((_ATTITUDE, "attitude"), (MOTOR_MESSAGE, "servo outputs")):
-        if message not in common:
+        if in_every(surveys, [message]) is None:
             raise TelemetryError(f"no {what} in every log; record {message} at 50 Hz or more")
+    imu = in_every(surveys, IMUS)
     if imu is None:
-        raise TelemetryError(
-            f"no accelerations in every log; record one of {', '.join(s[0] for s in _IMU)} at 50 Hz or more"
-        )
+        raise TelemetryError(f"no accelerations in every log; record one of {', '.join(IMUS)} at 50 Hz or more")
     known = {
         **{name: Channel(name, _ATTITUDE, (field,), period=tau) for name, field in _ANGLES.items()},
         **{name: Channel(name, _ATTITUDE, (field,)) for name, field in _RATES.items()},
-        **{name: Channel(name, imu[0], (field,), scale=imu[1]) for name, field in _FORCES.items()},
+        **{name: Channel(name, imu, (field,), scale=IMUS[imu]) for name, field in _FORCES.items()},
         **actuator_channels(surveys, actuators),
         **speeds,
     }
-    return EffectSignals(tuple(known[name] for name in names), _rate_hz(surveys, (_ATTITUDE, MOTOR_MESSAGE, imu[0])))
+    return EffectSignals(tuple(known[name] for name in names), _rate_hz(surveys, (_ATTITUDE, MOTOR_MESSAGE, imu)))
 
 
 def _rate_hz(surveys: Sequence[Survey], messages: Sequence[str]) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut, gathered, one_message
-from adapters.channels import ANY_CLOCK, CLOCK_UNITS_NS, Channel
+from adapters.channels import ANY_CLOCK, CLOCK_UNITS_NS, STANDARD_GRAVITY, Channel
 from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
 from adapters.mavlink.heartbeat import ARMED, NO_AUTOPILOT, PX4, vehicle_type
 from adapters.message import LATEST_NS, Message
@@ -79,7 +79,9 @@ class FlightRate:
 MOTOR_MESSAGE = "SERVO_OUTPUT_RAW"
 MAX_OUTPUTS = 16
 """Outputs in a SERVO_OUTPUT_RAW."""
-MOTION_MESSAGES = frozenset({MOTOR_MESSAGE, "ATTITUDE", "ATTITUDE_QUATERNION", "HIGHRES_IMU", "SCALED_IMU", "RAW_IMU"})
+IMUS = {"HIGHRES_IMU": 1.0, **dict.fromkeys(("SCALED_IMU", "RAW_IMU"), STANDARD_GRAVITY / 1000.0)}
+"""Messages of an IMU, the preferred ones first, and the units of their accelerations, m/s^2."""
+MOTION_MESSAGES = frozenset({MOTOR_MESSAGE, "ATTITUDE", "ATTITUDE_QUATERNION", *IMUS})
 """Messages that only an autopilot sends: the first system with one of them is the vehicle."""
 
 ESC_MESSAGES = tuple(f"ESC_TELEMETRY_{first}_TO_{first + 3}" for first in (1, 5, 9, 13))
@@ -365,6 +367,16 @@ def _has_no_ids(message: Message) -> bool:
     """Return whether a message is telemetry that never carries ids, but for a log's own records."""
     source = message.source
     return source.is_telemetry and not source.has_ids and not source.is_onboard_log
+
+
+def in_every(surveys: Sequence[Survey], messages: Iterable[str]) -> str | None:
+    """Return the first of some messages whose rate is known in every recording, None where there is none."""
+    return next((name for name in messages if least_hz(surveys, name) > 0.0), None)
+
+
+def least_hz(surveys: Sequence[Survey], message: str) -> float:
+    """Return how often a message comes in the recording that has it least often; 0 where one has none of it."""
+    return min(found.rate_hz.get(message, 0.0) for found in surveys)
 
 
 def fitted_rates(surveys: Sequence[Survey], channels: Sequence[Channel]) -> dict[str, float]:

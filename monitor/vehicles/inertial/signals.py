@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import tau
 from typing import Any, NamedTuple
@@ -10,15 +10,13 @@ from typing import Any, NamedTuple
 from adapters.channels import STANDARD_GRAVITY, Channel
 from adapters.errors import TelemetryError
 from monitor.fitting.raw_streams import corrected
-from monitor.fitting.survey import Survey, common_rate_hz
+from monitor.fitting.survey import IMUS, Survey, common_rate_hz, least_hz
 from monitor.sampling.phase import FlightPhase
 from monitor.vehicles.base import Preview
 from monitor.vehicles.inertial.ros_signals import BARE_POSITIONS, ros_channels
 from monitor.vehicles.inertial.strapdown import BAROMETER, ESTIMATED, GPS, IMU, LEARNED, MAGNETOMETER
 
-MESSAGES = FlightPhase.interests | frozenset(
-    {"ATTITUDE", "HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "GPS_RAW_INT", "SCALED_PRESSURE"}
-)
+MESSAGES = FlightPhase.interests | frozenset({"ATTITUDE", *IMUS, "GPS_RAW_INT", "SCALED_PRESSURE"})
 
 _LARGEST = 1.7e308
 """Numbers up to here are floats without overflow."""
@@ -55,9 +53,7 @@ class StrapdownSource(NamedTuple):
     imu: bool = True
 
 
-def strapdown_channels(
-    examples: Mapping[str, Mapping[str, Any]], imus: Sequence[str] = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU")
-) -> StrapdownSource:
+def strapdown_channels(examples: Mapping[str, Mapping[str, Any]], imus: Iterable[str] = IMUS) -> StrapdownSource:
     """Choose the channels.
 
     The IMU is the first of some messages: HIGHRES_IMU (SI units, microseconds), SCALED_IMU or RAW_IMU (which ArduPilot
@@ -70,7 +66,7 @@ def strapdown_channels(
     ----------
     examples : Mapping[str, Mapping[str, Any]]
         Fields of one message (in motion, after the first GPS fix) for each message name that the vehicle sends.
-    imus : Sequence[str]
+    imus : Iterable[str]
         Messages of inertial measurements, the preferred ones first.
 
     Raises
@@ -84,8 +80,8 @@ def strapdown_channels(
     if imu is None:
         channels = _trim()
     else:
-        force, rate = (1.0, 1.0) if imu == "HIGHRES_IMU" else (STANDARD_GRAVITY / 1000.0, _GYRO_SCALE)
-        channels = [Channel(name, imu, (name,), scale=force if "acc" in name else rate) for name in IMU[:6]]
+        rate = 1.0 if imu == "HIGHRES_IMU" else _GYRO_SCALE
+        channels = [Channel(name, imu, (name,), scale=IMUS[imu] if "acc" in name else rate) for name in IMU[:6]]
     channels.append(Channel("roll", "ATTITUDE", ("roll",), period=tau))
     channels.append(Channel("pitch", "ATTITUDE", ("pitch",)))
     channels.append(Channel("yaw", "ATTITUDE", ("yaw",), period=tau))
@@ -143,7 +139,7 @@ def common_channels(surveys: Sequence[Survey]) -> StrapdownSource:
     """Choose the channels from the messages that every recording holds: an autopilot's, else those of ROS 2."""
     examples = _examples(surveys)
     if "ATTITUDE" not in examples:
-        rates = {name: min(found.rate_hz.get(name, 0.0) for found in surveys) for name in examples}
+        rates = {name: least_hz(surveys, name) for name in examples}
         if (found := ros_channels(examples, rates)) is not None:
             return StrapdownSource(*found)
     return strapdown_channels(examples, _imus(surveys, "GPS_RAW_INT" in examples))
@@ -181,17 +177,16 @@ def _imus(surveys: Sequence[Survey], gps: bool) -> tuple[str, ...]:
 
     Those that come too seldom are none for a vehicle that hovers at its attitude and has a GPS.
     """
-    fast_hz = min(survey.rate_hz.get("HIGHRES_IMU", 0.0) for survey in surveys)
+    least = _ENOUGH * least_hz(surveys, "HIGHRES_IMU")
 
     def second_choice(message: str) -> bool:
-        rate_hz = min(survey.rate_hz.get(message, 0.0) for survey in surveys)
-        return any(corrected(survey, message) for survey in surveys) or rate_hz < _ENOUGH * fast_hz
+        return any(corrected(survey, message) for survey in surveys) or least_hz(surveys, message) < least
 
-    names = sorted(("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU"), key=second_choice)
+    names = sorted(IMUS, key=second_choice)
     types = [name for survey in surveys for name in survey.vehicle_types]
     if not gps or not any(word in name for name in types for word in _HOVERING):
         return tuple(names)
-    return tuple(name for name in names if min(survey.rate_hz.get(name, 0.0) for survey in surveys) >= NAVIGATED_HZ)
+    return tuple(name for name in names if least_hz(surveys, name) >= NAVIGATED_HZ)
 
 
 def inertial_rate_hz(surveys: Sequence[Survey], source: StrapdownSource) -> float:

@@ -26,11 +26,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.channels import STANDARD_GRAVITY, Channel
+from adapters.channels import Channel
 from adapters.errors import ModelError, TelemetryError
 from adapters.sample import Given, Samples
 from gains.synthesis.blocks import design_blocks
@@ -40,6 +41,7 @@ from monitor.core.lagged import LaggedMeans, cosines, sines
 from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, raw_flights, transformed
+from monitor.fitting.survey import IMUS, least_hz
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, healthy_evidence
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters, raw_per_sample
@@ -54,8 +56,8 @@ Array = NDArray[np.float64]
 OBSERVER = "imbalance"
 
 _AXES = ("xacc", "yacc", "zacc")
-_IMUS = {"HIGHRES_IMU": 1.0, **dict.fromkeys(("RAW_IMU", "SCALED_IMU"), STANDARD_GRAVITY / 1000.0)}
-"""Messages of raw accelerations, those of the same rate in order of preference, and their units in m/s^2."""
+_IMUS = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")
+"""Messages of raw accelerations, those of the same rate in order of preference."""
 _TICK_S = 0.5
 """Chosen: lines 2 Hz apart are told apart, a fiftieth of what rotors turn; over a longer tick more of the speeds'
 errors would add up in the angle."""
@@ -202,12 +204,12 @@ def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
     """
     commands, _ = multirotor_channels(request.surveys)
     signals = motor_speeds(request, gate, commands)
-    rates = {name: min(survey.rate_hz.get(name, 0.0) for survey in request.surveys) for name in _IMUS}
-    message = max(rates, key=lambda name: rates[name])
-    if signals is None or not signals.measured or not rates[message]:
+    message = max(_IMUS, key=partial(least_hz, request.surveys))
+    reported_hz = least_hz(request.surveys, message)
+    if signals is None or not signals.measured or not reported_hz:
         return None
     rate_hz = 1.0 / _TICK_S
-    signal_hz = rate_hz * max(1, round(rates[message] / rate_hz))
+    signal_hz = rate_hz * max(1, round(reported_hz / rate_hz))
     turns = max(signals.hover) / 60.0
     if turns > _HIGHEST * signal_hz:
         raise ModelError(
@@ -215,7 +217,7 @@ def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
             f"{signal_hz:.0f} Hz, on which that is folded onto other frequencies; log them at "
             f"{turns / _HIGHEST:.0f} Hz or more"
         )
-    axes = (Channel(axis, message, (axis,), scale=_IMUS[message], interpolation="previous") for axis in _AXES)
+    axes = (Channel(axis, message, (axis,), scale=IMUS[message], interpolation="previous") for axis in _AXES)
     channels = (*axes, *(replace(channel, interpolation="linear") for channel in signals.speed))
     raw = raw_flights(request.logs, channels, signal_hz, gate)
     drift = _drift([flight.samples.u[flight.armed, len(_AXES) :] for flight in raw], signal_hz, signals.rate_hz)

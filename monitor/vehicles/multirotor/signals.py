@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import log10
 
-from adapters.channels import STANDARD_GRAVITY, Channel, field_steps
+from adapters.channels import Channel, field_steps
 from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from monitor.fitting.survey import (
     ESC_MESSAGES,
     IDLE_US,
+    IMUS,
     MAX_OUTPUTS,
     MOTION_MESSAGES,
     MOTOR_MESSAGE,
     MotorOutput,
     Survey,
     common_rate_hz,
+    in_every,
+    least_hz,
 )
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.supply import BATTERY_MESSAGE, CELLS_MESSAGE
@@ -46,18 +50,12 @@ _FEWEST_MOTORS = 3
 _ALIKE = 2.0
 """How far an output's mean may be from the median of all that move, as a factor, to be one of the motors."""
 
-# Messages, fields and scales of body rates, the preferred ones first.
-_RATES = (
-    ("ATTITUDE", ("rollspeed", "pitchspeed", "yawspeed"), 1.0),
-    ("HIGHRES_IMU", ("xgyro", "ygyro", "zgyro"), 1.0),
-    ("ATTITUDE_QUATERNION", ("rollspeed", "pitchspeed", "yawspeed"), 1.0),
-)
-# The same of vertical acceleration; MAVLink gives milli-g where it is not SI.
-_VERTICAL = (
-    ("HIGHRES_IMU", "zacc", 1.0),
-    ("SCALED_IMU", "zacc", STANDARD_GRAVITY / 1000.0),
-    ("RAW_IMU", "zacc", STANDARD_GRAVITY / 1000.0),
-)
+# Messages and fields of body rates, the preferred ones first.
+_RATES = {
+    "ATTITUDE": ("rollspeed", "pitchspeed", "yawspeed"),
+    "HIGHRES_IMU": ("xgyro", "ygyro", "zgyro"),
+    "ATTITUDE_QUATERNION": ("rollspeed", "pitchspeed", "yawspeed"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,12 +106,10 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
     TelemetryError
         A message that is needed is missing; the text says which to stream.
     """
-    common = set.intersection(*(set(found.rate_hz) for found in surveys))
-    rates = next((source for source in _RATES if source[0] in common), None)
-    vertical = next((source for source in _VERTICAL if source[0] in common), None)
+    rates, vertical = in_every(surveys, _RATES), in_every(surveys, IMUS)
     if rates is None:
-        raise TelemetryError(f"no body rates in every log; record one of {', '.join(s[0] for s in _RATES)} at 50 Hz+")
-    if MOTOR_MESSAGE not in common:
+        raise TelemetryError(f"no body rates in every log; record one of {', '.join(_RATES)} at 50 Hz+")
+    if in_every(surveys, [MOTOR_MESSAGE]) is None:
         raise TelemetryError(f"no motor commands in every log; record {MOTOR_MESSAGE} at 50 Hz or more")
     commands = motor_commands(surveys)
     span = commands.full - commands.stop
@@ -132,13 +128,10 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
         for number in commands.motors
     )
     names = ("roll_rate", "pitch_rate", "yaw_rate")
-    outputs = tuple(
-        Channel(name, rates[0], (field,), scale=rates[2]) for name, field in zip(names, rates[1], strict=True)
-    )
+    outputs = tuple(Channel(name, rates, (field,)) for name, field in zip(names, _RATES[rates], strict=True))
     if vertical is None:
         return inputs, outputs
-    message, field, scale = vertical
-    return inputs, (*outputs, Channel("vertical_acceleration", message, (field,), scale=scale))
+    return inputs, (*outputs, Channel("vertical_acceleration", vertical, ("zacc",), scale=IMUS[vertical]))
 
 
 def battery_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...], float]:
@@ -146,10 +139,7 @@ def battery_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...], fl
 
     Of the two messages the one that comes more often; that of cells has a channel for the voltage of each further one.
     """
-    rates = {
-        name: min(survey.rate_hz.get(name, 0.0) for survey in surveys) for name in (BATTERY_MESSAGE, CELLS_MESSAGE)
-    }
-    message = max(rates, key=lambda name: rates[name])
+    message = max((BATTERY_MESSAGE, CELLS_MESSAGE), key=partial(least_hz, surveys))
     in_cells = message == CELLS_MESSAGE
     volts = "voltages[0]" if in_cells else "voltage_battery"
     taken = [("volts", volts, 0.001), ("amps", "current_battery", 0.01), ("left", "battery_remaining", 0.01)]
@@ -168,7 +158,7 @@ def battery_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...], fl
         )
         for name, field, scale in taken
     )
-    return channels, rates[message]
+    return channels, least_hz(surveys, message)
 
 
 def hover_pulse(surveys: Sequence[Survey], commands: CommandRange) -> float:

@@ -27,6 +27,7 @@ from monitor.core.lagged import LaggedMeans
 from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, raw_flights, transformed
+from monitor.fitting.survey import least_hz
 from monitor.fitting.thresholds import Times, healthy_evidence
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters, raw_per_sample
@@ -148,7 +149,7 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
     ModelError
         Too little healthy flight.
     """
-    reported_hz = min(survey.rate_hz.get(_MESSAGE, 0.0) for survey in request.surveys)
+    reported_hz = least_hz(request.surveys, _MESSAGE)
     if reported_hz < _SLOWEST_HZ:
         return None
     commands, outputs = multirotor_channels(request.surveys)

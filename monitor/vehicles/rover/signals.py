@@ -8,17 +8,17 @@ from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from monitor.fitting.effect_signals import EFFECT_MESSAGES, EffectSignals, effect_signals
 from monitor.fitting.output_functions import MOTOR, SERVO, Actuator
-from monitor.fitting.survey import Survey
+from monitor.fitting.survey import Survey, in_every
 from monitor.vehicles.base import Preview
 from monitor.vehicles.rover.transform import DriveInputs
 
 # Messages of velocity over ground and the m/s in their units, the preferred one first.
-_VELOCITIES = (("LOCAL_POSITION_NED", 1.0), ("GLOBAL_POSITION_INT", 0.01))
+_VELOCITIES = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
 
 # Functions as SRV_Channel.h of ArduPilot and PX4's rovers number them.
 _ACTUATORS = (Actuator("steering", 1, (26,), px4=SERVO), Actuator("throttle", 3, (70,), px4=MOTOR))
 
-MESSAGES = EFFECT_MESSAGES | {message for message, _ in _VELOCITIES}
+MESSAGES = EFFECT_MESSAGES | _VELOCITIES.keys()
 
 
 def rover_signals(surveys: Sequence[Survey]) -> EffectSignals:
@@ -29,14 +29,11 @@ def rover_signals(surveys: Sequence[Survey]) -> EffectSignals:
     TelemetryError
         A message that is needed is missing or comes too seldom, or outputs are none of a rover's; the text says why.
     """
-    velocity = next((v for v in _VELOCITIES if all(survey.rate_hz.get(v[0]) for survey in surveys)), None)
-    if velocity is None:
-        raise TelemetryError(
-            f"no velocity in every log; record one of {', '.join(v[0] for v in _VELOCITIES)} at 10 Hz+"
-        )
-    message, scale = velocity
+    message = in_every(surveys, _VELOCITIES)
+    if message is None:
+        raise TelemetryError(f"no velocity in every log; record one of {', '.join(_VELOCITIES)} at 10 Hz+")
     velocities = {
-        name: Channel(name, message, (field,), scale=scale)
+        name: Channel(name, message, (field,), scale=_VELOCITIES[message])
         for name, field in (("velocity_north", "vx"), ("velocity_east", "vy"))
     }
     return effect_signals(surveys, DriveInputs.signals, _ACTUATORS, velocities)
