@@ -134,11 +134,23 @@ def test_every_message_of_the_dialect_goes_there_and_back_without_loss(payload: 
     for table in TABLES:
         message = decoded(table, payload)
         _, data = to_protobuf(message)
-        back = TypedRecords(MAVLINK, message.name, mavlink_class(message.name))(data, message.received_ns)
+        records = TypedRecords(MAVLINK, message.name, mavlink_class(message.name))
+        back = records(data, message.received_ns)
         assert (back.system, back.component) == (3, 191)
         assert list(back.fields) == list(message.fields)
         for name, value in message.fields.items():
             assert same(value, back.fields[name]), (message.name, name, value, back.fields[name])
+        for group in records.columns([data, data], np.array([5, 6]), np.array([0, 1])) or ():
+            assert all(same(value, one_message(group, 1).fields[name]) for name, value in message.fields.items())
+
+
+def test_records_of_which_one_is_damaged_or_whose_lists_differ_are_read_one_by_one() -> None:
+    pb_class = message_class("ulog", "many", (Field("n", "int64", repeated=True),))
+    records, ends = TypedRecords(ULOG, "many", pb_class), (np.array([5, 6]), np.array([0, 1]))
+    one, two = (pb_class(n=numbers).SerializeToString() for numbers in ([1], [1, 2]))
+    assert records.columns([one, one], *ends) is not None
+    assert records.columns([one, two], *ends) is None
+    assert records.columns([one, b"\xff"], *ends) is None
 
 
 def test_a_message_is_read_with_nothing_but_the_schema_in_the_file() -> None:

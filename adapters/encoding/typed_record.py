@@ -6,17 +6,17 @@ themselves.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto
+from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from adapters.batch import Columns
 from adapters.encoding.foreign_record import ProtobufFields
-from adapters.encoding.protobuf_rows import RowDecoder
 from adapters.encoding.protobuf_types import Field, ProtobufScalar, identifiers, message_class, protobuf_schema
 from adapters.encoding.record import Schema
 from adapters.mavlink.mavlink_message import message_tables
@@ -31,6 +31,16 @@ _MAVLINK_KINDS: Final[Mapping[str, ProtobufScalar]] = {
     **{"uint8_t": "uint32", "uint16_t": "uint32", "uint32_t": "uint32", "uint64_t": "uint64"},
 }
 _DTYPE_KINDS: Final[Mapping[str, ProtobufScalar]] = {"b": "bool", "i": "int64", "u": "int64", "f": "double"}
+_DTYPES: Final[Mapping[int, Any]] = {
+    FieldDescriptorProto.TYPE_BOOL: np.bool_,
+    FieldDescriptorProto.TYPE_DOUBLE: np.float64,
+    FieldDescriptorProto.TYPE_FLOAT: np.float32,
+    FieldDescriptorProto.TYPE_INT32: np.int32,
+    FieldDescriptorProto.TYPE_UINT32: np.uint32,
+    FieldDescriptorProto.TYPE_INT64: np.int64,
+    FieldDescriptorProto.TYPE_UINT64: np.uint64,
+}
+"""Of the kinds of fields that columns can hold."""
 _SCALARS: Final[Mapping[type, ProtobufScalar]] = {bool: "bool", int: "int64", float: "double", str: "string"}
 
 
@@ -161,9 +171,10 @@ class TypedRecords:
         self._name = name
         self._ids = _layout(pb_class)[0] if source is MAVLINK else ()
         self._fields = ProtobufFields(pb_class)
-        self._rows: RowDecoder | None = None
-        with contextlib.suppress(ValueError):
-            self._rows = RowDecoder(pb_class)
+        self._class = pb_class
+        fields = pb_class.DESCRIPTOR.fields
+        self._dtypes = {field.name: _DTYPES[field.type] for field in fields if field.type in _DTYPES}
+        self._numbers_only = len(self._dtypes) == len(fields) and not any(field.has_presence for field in fields)
 
     def __call__(self, data: bytes, time_ns: int) -> Message:
         """Return one of them as a message.
@@ -181,8 +192,16 @@ class TypedRecords:
 
         ``time_ns`` and ``position`` (n,) are their times and their indices in the batch.
         """
-        fields = None if self._rows is None else self._rows.decode(data)
-        if fields is None:
+        if not self._numbers_only:
+            return None
+        try:
+            messages = [self._class.FromString(one) for one in data]
+            fields = {
+                name: np.array([getattr(message, name) for message in messages], dtype)
+                for name, dtype in self._dtypes.items()
+            }
+        except (DecodeError, ValueError):
+            # of lists that differ in length numpy makes no array
             return None
         ids = [fields.pop(name).astype(np.int64) for name in self._ids]
         if not ids:

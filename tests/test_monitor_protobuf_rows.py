@@ -1,7 +1,6 @@
 """Many protobuf messages at once are, byte for byte, what protobuf writes one by one."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.encoding.protobuf_rows import RowDecoder
 from adapters.encoding.protobuf_types import TIMESTAMP, Field, message_class
 from monitor.core.protobuf_rows import RowEncoder
 
@@ -66,14 +64,10 @@ def columns(rows: list[dict[str, Any]]) -> dict[str, np.ndarray[Any, Any]]:
 
 
 @given(flat_rows())
-def test_flat_messages_are_written_as_protobuf_writes_them_and_read_back(rows: list[dict[str, Any]]) -> None:
+def test_flat_messages_are_written_as_protobuf_writes_them(rows: list[dict[str, Any]]) -> None:
     expected = [FLAT(**row).SerializeToString() for row in rows]
     encoder, values = RowEncoder(FLAT), columns(rows)
     assert encoder.encode([values[name] for name in encoder.names], len(rows)) == expected
-    found = RowDecoder(FLAT).decode(expected)
-    assert found is not None
-    for k, row in enumerate(rows):
-        assert repr({name: found[name][k].tolist() for name in row}) == repr(row)
 
 
 @given(st.lists(st.tuples(numbers("int64"), numbers("int32"), numbers("double"), numbers("int64")), min_size=1))
@@ -102,23 +96,6 @@ def test_columns_of_any_kind_and_alignment_are_written() -> None:
     )
 
 
-@given(flat_rows(), st.data())
-def test_damaged_messages_are_read_as_protobuf_does_or_refused(rows: list[dict[str, Any]], data: st.DataObject) -> None:
-    message = bytearray(FLAT(**rows[0]).SerializeToString())
-    for _ in range(data.draw(st.integers(0, 3))):
-        if message:
-            message[data.draw(st.integers(0, len(message) - 1))] = data.draw(st.integers(0, 255))
-    message = message[: data.draw(st.integers(0, len(message)))]
-    found = RowDecoder(FLAT).decode([bytes(message), b""])
-    if found is None:
-        return
-    expected = FLAT.FromString(bytes(message))
-    for name, values in found.items():
-        theirs = getattr(expected, name)
-        ours = values[0].tolist()
-        assert repr(ours) == repr(list(theirs) if isinstance(ours, list) else theirs)
-
-
 def test_values_out_of_range_or_of_another_kind_are_refused() -> None:
     rows = RowEncoder(message_class("t", "Small", (Field("n", "uint32"),)))
     swapped = np.array([1]).astype(">i8")
@@ -134,13 +111,6 @@ def test_values_out_of_range_or_of_another_kind_are_refused() -> None:
         rows.encode((1 << 64,), 1)
 
 
-def test_a_length_beyond_the_message_is_refused() -> None:
-    rows = RowDecoder(message_class("t", "Many", (Field("n", "uint32", repeated=True),)))
-    for length in (b"\x7f", b"\xff\xff\xff\xff\xff\xff\xff\xff\x7f", b"\xff" * 9 + b"\x01"):
-        assert rows.decode([b"\x0a" + length + b"\x01"]) is None
-
-
-@pytest.mark.parametrize("kind", [RowEncoder, RowDecoder])
-def test_types_with_texts_are_refused(kind: Callable[[Any], Any]) -> None:
+def test_types_with_texts_are_refused() -> None:
     with pytest.raises(ValueError, match="no plain number"):
-        kind(message_class("t", "Text", (Field("n", "string"),)))
+        RowEncoder(message_class("t", "Text", (Field("n", "string"),)))
