@@ -81,7 +81,7 @@ class _Compiler:
         self._definitions = definitions
         self._messages: dict[str, tuple[_Read, int]] = {}
         self._open: list[str] = []
-        self._length = _number(order, "I")
+        self._length, _ = _number(order, "I")
 
     def message(self, kind: str) -> tuple[_Read, int]:
         """Return the reader of a message type."""
@@ -101,57 +101,21 @@ class _Compiler:
         named = bool(fields)
         # IDL knows no empty structure: one byte takes its place
         fields = fields or (MessageField("structure_needs_at_least_one_member", "uint8"),)
-        steps: list[tuple[str | tuple[str, ...], _Read]] = []
-        least = at = 0
-        while at < len(fields):
-            run = at
-            while run < len(fields) and fields[run].type in _CODES and not _many(fields[run]):
-                run += 1
-            if run > at:
-                steps.append((tuple(field.name for field in fields[at:run]), self._run(fields[at:run])))
-                least += sum(struct.calcsize("=" + _CODES[field.type]) for field in fields[at:run])
-                at = run
-            else:
-                read, size = self._field(fields[at])
-                steps.append((fields[at].name, read))
-                least += size
-                at += 1
+        readers = [(field.name, *self._field(field)) for field in fields]
 
         def read_fields(data: bytes, position: int) -> tuple[dict[str, Any], int]:
             values: dict[str, Any] = {}
-            for name, read in steps:
-                value, position = read(data, position)
-                if isinstance(name, str):
-                    values[name] = value
-                else:
-                    values.update(zip(name, value, strict=True))
+            for name, read, _ in readers:
+                values[name], position = read(data, position)
             return (values if named else {}), position
 
-        return read_fields, least
-
-    def _run(self, fields: Sequence[MessageField]) -> _Read:
-        """Return what reads neighbouring numbers at once, with the padding each of the eight positions needs."""
-        shapes = []
-        for phase in range(8):
-            at, text = phase, self._order
-            for field in fields:
-                size = struct.calcsize("=" + _CODES[field.type])
-                padding = -at % size
-                text += "x" * padding + _CODES[field.type]
-                at += padding + size
-            shapes.append(struct.Struct(text))
-
-        def read_run(data: bytes, position: int) -> tuple[tuple[Any, ...], int]:
-            shape = shapes[position & 7]
-            return shape.unpack_from(data, position), position + shape.size
-
-        return read_run
+        return read_fields, sum(least for _, _, least in readers)
 
     def _field(self, field: MessageField) -> tuple[_Read, int]:
         if field.type == "wstring":
             raise TelemetryError(f"definition of {self._open[-1]}: wstring ('{field.name}') is not supported")
         if field.type in _CODES:
-            return self._numbers(field)
+            return self._numbers(field) if _many(field) else _number(self._order, _CODES[field.type])
         element, least = (self._text, 4) if field.type == "string" else self.message(field.type)
         if not _many(field):
             return element, least
@@ -190,15 +154,16 @@ class _Compiler:
         return data[position : max(position, end - 1)].decode(errors="replace"), end
 
 
-def _number(order: str, code: str) -> Callable[[bytes, int], tuple[int, int]]:
+def _number(order: str, code: str) -> tuple[Callable[[bytes, int], tuple[Any, int]], int]:
+    """Return what reads a number, and its bytes."""
     shape = struct.Struct(order + code)
     size = shape.size
 
-    def read_number(data: bytes, position: int) -> tuple[int, int]:
+    def read_number(data: bytes, position: int) -> tuple[Any, int]:
         position += -position % size
         return shape.unpack_from(data, position)[0], position + size
 
-    return read_number
+    return read_number, size
 
 
 def _many(field: MessageField) -> bool:
