@@ -11,6 +11,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC, Writer
 
 import fauio
 from adapters.encoding.record import Record, Schema
@@ -91,6 +92,37 @@ def test_damage_in_the_middle_costs_what_it_hit(tmp_path: Path) -> None:
     assert len(before) == 160
     assert finish(path) is not None
     assert sorted(numbers(path)) == before
+    assert (tmp_path / "damaged.mcap.damaged").read_bytes() == content
+
+
+def test_a_file_that_was_only_begun_is_finished_empty(tmp_path: Path) -> None:
+    path = tmp_path / "begun.mcap"
+    path.write_bytes(MCAP0_MAGIC + b"\x01")
+    done = finish(path)
+    assert done is not None
+    assert (done.messages, [*tmp_path.iterdir()]) == (0, [path])
+    with path.open("rb") as stream:
+        assert make_reader(stream).get_summary() is not None
+
+
+def test_what_other_recorders_say_of_their_channels_and_messages_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as stream:
+        # a chunk for each message
+        writer = Writer(stream, chunk_size=1)
+        writer.start("ros2", "another")
+        channel = writer.register_channel(
+            "/imu", "cdr", writer.register_schema("a/B", "ros2msg", b"int8 a"), {"qos": "1"}
+        )
+        writer.add_message(channel, 7, b"x", 6, sequence=5)
+    assert finish(path) is not None
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        [(schema, kept, message)] = reader.iter_messages()
+        assert (reader.get_header().profile, reader.get_header().library) == ("ros2", "another")
+        assert schema is not None
+        assert (schema.name, kept.metadata) == ("a/B", {"qos": "1"})
+        assert (message.log_time, message.publish_time, message.sequence, message.data) == (7, 6, 5, b"x")
 
 
 def test_a_file_that_is_being_written_is_left_alone_and_readers_that_need_no_index_read_it(tmp_path: Path) -> None:

@@ -140,7 +140,7 @@ class MessageLogWriter:
             schema_count=0,
         )
         try:
-            self._write(MCAP0_MAGIC + encoded(Header(profile="", library="fauio")))
+            self._write(MCAP0_MAGIC + _encoded(Header(profile="", library="fauio")))
         except OSError:
             if self._owned is not None:
                 self._owned.close()
@@ -203,11 +203,11 @@ class MessageLogWriter:
         schema_id = 0
         if schema is not None:
             schema_id = self._totals.schema_count = self._totals.schema_count + 1
-            record = encoded(McapSchema(id=schema_id, name=schema.name, encoding=schema.encoding, data=schema.data))
+            record = _encoded(McapSchema(id=schema_id, name=schema.name, encoding=schema.encoding, data=schema.data))
             self._schemas += record
             self._definitions += record
         number = self._totals.channel_count = self._totals.channel_count + 1
-        record = encoded(Channel(id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id))
+        record = _encoded(Channel(id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id))
         self._channels += record
         self._definitions += record
         self._channel_ids[topic, encoding, schema] = number
@@ -244,10 +244,11 @@ class MessageLogWriter:
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record."""
-        record = encoded(Metadata(name=name, metadata=dict(entries)))
+        record = _encoded(Metadata(name=name, metadata=dict(entries)))
         at = self._metadata_offsets[name, len(record)] = self._at
         self._write(record)
-        self._index_metadata(name, at, len(record))
+        self._metadata_indexes += _encoded(MetadataIndex(at, len(record), name))
+        self._totals.metadata_count += 1
 
     def amend_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record again where it stands, as it is there for readers that stop at the first message.
@@ -259,7 +260,7 @@ class MessageLogWriter:
         ValueError
             There is no record of that name and length.
         """
-        record = encoded(Metadata(name=name, metadata=dict(entries)))
+        record = _encoded(Metadata(name=name, metadata=dict(entries)))
         offset = self._metadata_offsets.get((name, len(record)))
         if offset is None:
             raise ValueError(f"no metadata record '{name}' of {len(record)} bytes")
@@ -270,10 +271,10 @@ class MessageLogWriter:
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file; its times are left at zero, which MCAP reads as unknown."""
-        attachment = Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
-        record, at = encoded(attachment), self._at
+        record, at = _encoded(Attachment(0, 0, name, media_type, data)), self._at
         self._write(record)
-        self._index_attachment(attachment, at, len(record))
+        self._attachment_indexes += _encoded(AttachmentIndex(at, len(record), 0, 0, len(data), name, media_type))
+        self._totals.attachment_count += 1
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it then survives ``kill -9``."""
@@ -308,7 +309,7 @@ class MessageLogWriter:
                 self._end_chunk()
             self._failed = None
             self._begin_chunk()
-            self._write(encoded(DataEnd(data_section_crc=0)) + self._summary(self._at + RECORD_HEAD.size + 4))
+            self._write(_encoded(DataEnd(data_section_crc=0)) + self._summary(self._at + RECORD_HEAD.size + 4))
             self._stream.flush()
         finally:
             if self._owned is not None:
@@ -324,23 +325,6 @@ class MessageLogWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _index_metadata(self, name: str, at: int, length: int) -> None:
-        self._metadata_indexes += encoded(MetadataIndex(at, length, name))
-        self._totals.metadata_count += 1
-
-    def _index_attachment(self, file: Attachment, at: int, length: int) -> None:
-        index = AttachmentIndex(
-            offset=at,
-            length=length,
-            log_time=file.log_time,
-            create_time=file.create_time,
-            data_size=len(file.data),
-            name=file.name,
-            media_type=file.media_type,
-        )
-        self._attachment_indexes += encoded(index)
-        self._totals.attachment_count += 1
 
     def _end_chunk(self) -> None:
         if not self._channel_of:
@@ -388,7 +372,7 @@ class MessageLogWriter:
             uncompressed_size=len(chunk),
         )
         self._write(b"".join(parts))
-        self._chunk_indexes += encoded(index)
+        self._chunk_indexes += _encoded(index)
         self._count(first, last, dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
         self._begin_chunk()
 
@@ -430,7 +414,7 @@ class MessageLogWriter:
         groups = {
             Opcode.SCHEMA: bytes(self._schemas),
             Opcode.CHANNEL: bytes(self._channels),
-            Opcode.STATISTICS: encoded(self._totals),
+            Opcode.STATISTICS: _encoded(self._totals),
             Opcode.CHUNK_INDEX: bytes(self._chunk_indexes),
             Opcode.ATTACHMENT_INDEX: bytes(self._attachment_indexes),
             Opcode.METADATA_INDEX: bytes(self._metadata_indexes),
@@ -439,11 +423,11 @@ class MessageLogWriter:
         at = start
         for opcode, group in groups.items():
             if group:
-                offsets += encoded(SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(group)))
+                offsets += _encoded(SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(group)))
             at += len(group)
         summary = b"".join(groups.values()) + offsets
         crc = zlib.crc32(_FOOTER.pack(Opcode.FOOTER, _FOOTER_BYTES, start, at), zlib.crc32(summary))
-        return summary + encoded(Footer(summary_start=start, summary_offset_start=at, summary_crc=crc)) + MCAP0_MAGIC
+        return summary + _encoded(Footer(summary_start=start, summary_offset_start=at, summary_crc=crc)) + MCAP0_MAGIC
 
     def _write(self, data: bytes) -> None:
         """Write all of it or nothing."""
@@ -465,7 +449,7 @@ class MessageLogWriter:
         self._at += len(data)
 
 
-def encoded(record: McapRecord) -> bytes:
+def _encoded(record: McapRecord) -> bytes:
     """Return a record as it stands in a file."""
     builder: Any = RecordBuilder()
     record.write(builder)

@@ -27,7 +27,7 @@ MAX_RECORD_BYTES = 512 * 1024 * 1024
 for it.
 """
 RECORD_HEAD = struct.Struct("<BQ")
-CHUNK_HEAD = struct.Struct("<QQQII")
+_CHUNK_HEAD = struct.Struct("<QQQII")
 """Start and end time, size of the records, their checksum, length of the compression's name."""
 UNREADABLE = (struct.error, ValueError, KeyError, OverflowError, EOFError, RuntimeError, zstandard.ZstdError)
 """What decompressing and decoding damaged bytes raises."""
@@ -168,12 +168,12 @@ class McapRecords:
     def _shape(self, at: int) -> _Shape | None:
         """Return what a chunk ``at`` bytes ahead says of itself, None where its lengths contradict each other."""
         at += RECORD_HEAD.size
-        head = self._peek(at, at + CHUNK_HEAD.size)
-        if len(head) < CHUNK_HEAD.size:
+        head = self._peek(at, at + _CHUNK_HEAD.size)
+        if len(head) < _CHUNK_HEAD.size:
             return None
-        *_, size, crc, named = CHUNK_HEAD.unpack(head)
-        start = at + CHUNK_HEAD.size + named + _LENGTH.size
-        name = self._peek(at + CHUNK_HEAD.size, start) if named <= _LONGEST_NAME else b""
+        *_, size, crc, named = _CHUNK_HEAD.unpack(head)
+        start = at + _CHUNK_HEAD.size + named + _LENGTH.size
+        name = self._peek(at + _CHUNK_HEAD.size, start) if named <= _LONGEST_NAME else b""
         _, length = RECORD_HEAD.unpack(self._peek(at - RECORD_HEAD.size, at))
         if len(name) < named + _LENGTH.size or size > MAX_RECORD_BYTES:
             return None

@@ -1,25 +1,26 @@
-"""Finishes MCAP files that were not closed: what is whole stays where it is, the summary is put behind it."""
+"""Finishes MCAP files that were not closed: all whole messages are written anew, by the mcap library, with an index."""
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
 import os
+import shutil
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, ChunkIndex, Metadata
-from mcap.writer import MCAP0_MAGIC
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC, Writer
 
 from adapters.errors import StorageError
-from adapters.logs.mcap_log import MessageLogWriter, encoded
-from adapters.logs.mcap_records import CHUNK_HEAD, RECORD_HEAD, UNREADABLE, McapRecords, records_in
+from adapters.logs.mcap_log import CHUNK_BYTES
+from adapters.logs.mcap_records import UNREADABLE, McapRecords, records_in
 
 # of a message: channel, sequence, log time, publish time
 _MESSAGE = struct.Struct("<HIQQ")
@@ -31,29 +32,7 @@ class Recovery:
 
     path: Path
     messages: int  # in the file now
-    cut_bytes: int  # of the end: the beginning of a record, without a whole message
-
-
-@dataclass(slots=True)
-class _Chunk:
-    """A chunk, its index as far as it is there, and its messages: channel, times and payload of each."""
-
-    index: ChunkIndex
-    is_whole: bool
-    messages: list[tuple[int, int, int, bytes]] = field(default_factory=list)
-
-    @property
-    def counts(self) -> dict[int, int]:
-        """Messages by channel."""
-        counts: dict[int, int] = {}
-        for channel, *_ in self.messages:
-            counts[channel] = counts.get(channel, 0) + 1
-        return counts
-
-    @property
-    def is_indexed(self) -> bool:
-        """Whether it and the index of its messages are there."""
-        return self.is_whole and self.counts.keys() == self.index.message_index_offsets.keys()
+    cut_bytes: int  # of a record at the end that was cut off; what was whole in it is kept
 
 
 def is_unfinished(path: Path) -> bool:
@@ -65,7 +44,7 @@ def is_unfinished(path: Path) -> bool:
 
 
 def finish(path: Path) -> Recovery | None:
-    """Give an unfinished file its index; of a message that was cut off, and what is damaged, nothing changes.
+    """Put a finished file in the place of an unfinished one; one that is damaged inside is kept as ``NAME.damaged``.
 
     None is returned where the file is finished already.
 
@@ -76,109 +55,92 @@ def finish(path: Path) -> Recovery | None:
     TelemetryError
         It is no MCAP file, or needs a compression that is not installed.
     """
+    copy_path = path.with_name(f".{path.name}.finishing")
     try:
         with path.open("r+b", buffering=0) as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 raise StorageError(f"{path}: is being written; it is finished when that ends") from None
-            return _Finisher(path, file).run() if is_unfinished(path) else None
+            return _finish(path, copy_path) if is_unfinished(path) else None
     except OSError as error:
         raise StorageError(f"{path}: cannot be finished: {error.strerror}") from error
+    finally:
+        copy_path.unlink(missing_ok=True)
 
 
-class _Finisher(MessageLogWriter):
-    """Takes in what a file holds as if it had written it, and goes on behind it."""
-
-    def __init__(self, path: Path, file: BinaryIO) -> None:
-        super().__init__(BytesIO())
-        self._path, self._file = path, file
-        self._defined: dict[tuple[int, int], bytes] = {}
-
-    def run(self) -> Recovery:
-        """Finish the file."""
-        scan, last, end = McapRecords(self._path), None, len(MCAP0_MAGIC)
-        size = self._file.seek(0, os.SEEK_END)
+def _finish(path: Path, copy_path: Path) -> Recovery:
+    scan, cut_bytes = McapRecords(path), 0
+    with copy_path.open("wb") as stream:
+        copy = _Copy(stream)
         for opcode, body in scan:
-            at = scan.stopped_at or 0
-            self._file.seek(at)
-            stop = at + RECORD_HEAD.size + RECORD_HEAD.unpack(self._file.read(RECORD_HEAD.size))[1]
             if opcode == Opcode.DATA_END:
-                size = end
                 break
-            if opcode == Opcode.MESSAGE_INDEX and last is not None:
-                last.index.message_index_offsets[struct.unpack_from("<H", body)[0]] = at
-                last.index.message_index_length += stop - at
-            else:
-                self._keep(last)
-                last = self._chunk(at, stop, body) if opcode == Opcode.CHUNK else None
-                self._take(opcode, body, at, stop)
-            if stop <= size and (last is None or last.is_whole):
-                end = stop
-        # The last chunk is written once more where it, or its index, was cut off.
-        again = None if last is None or last.is_indexed else last
-        if again is not None:
-            end = again.index.chunk_start_offset
+            for record in records_in(body) if opcode == Opcode.CHUNK else [(opcode, body)]:
+                # one that cannot be read is left out
+                with contextlib.suppress(McapError, *UNREADABLE):
+                    copy.add(*record)
         else:
-            self._keep(last)
-        self._schemas = self._records_of(Opcode.SCHEMA)
-        self._channels = self._records_of(Opcode.CHANNEL)
-        self._file.truncate(end)
-        self._file.seek(end)
-        self._stream, self._at = self._file, end
-        if again is not None:
-            self._definitions += self._schemas + self._channels
-            for channel, time_ns, publish_ns, data in again.messages:
-                self.add_all([channel], [data], [time_ns], publish_ns)
-        self.close()
-        os.fsync(self._file.fileno())
-        return Recovery(self._path, self.written, 0 if again else size - end)
+            cut_bytes = path.stat().st_size - (scan.stopped_at or 0)
+        copy.begin()
+        copy.writer.finish()
+        stream.flush()
+        os.fsync(stream.fileno())
+    shutil.copymode(path, copy_path)
+    if scan.damaged_chunks or scan.lost_ways > scan.broken_off:
+        path.rename(path.with_name(f"{path.name}.damaged"))
+    copy_path.replace(path)
+    return Recovery(path, copy.messages, cut_bytes)
 
-    def _chunk(self, at: int, stop: int, body: bytes) -> _Chunk:
-        """Return a chunk; learn the definitions in it."""
-        self._file.seek(at + RECORD_HEAD.size)
-        first, last, size, _, named = CHUNK_HEAD.unpack(self._file.read(CHUNK_HEAD.size))
-        compression = self._file.read(named).decode("latin-1")
-        packed = stop - at - RECORD_HEAD.size - CHUNK_HEAD.size - named - 8
-        chunk = _Chunk(ChunkIndex(stop - at, at, compression, packed, last, 0, {}, first, size), len(body) == size)
-        for opcode, record in records_in(body):
-            if opcode == Opcode.MESSAGE and len(record) >= _MESSAGE.size:
-                channel, _, time_ns, publish_ns = _MESSAGE.unpack_from(record)
-                chunk.messages.append((channel, time_ns, publish_ns, record[_MESSAGE.size :]))
-            else:
-                self._define(opcode, record)
-        return chunk
 
-    def _take(self, opcode: int, body: bytes, at: int, stop: int) -> None:
-        """Learn a record outside of chunks; one that cannot be read gets no index."""
-        with contextlib.suppress(McapError, *UNREADABLE):
-            stream = ReadDataStream(BytesIO(body))
-            if opcode == Opcode.ATTACHMENT:
-                self._index_attachment(Attachment.read(stream), at, stop - at)
-            elif opcode == Opcode.METADATA:
-                self._index_metadata(Metadata.read(stream).name, at, stop - at)
-            elif opcode == Opcode.MESSAGE:
-                channel, _, time_ns, _ = _MESSAGE.unpack_from(body)
-                self._count(time_ns, time_ns, {channel: 1})
-                self._totals.chunk_count -= 1
-            else:
-                self._define(opcode, body)
+class _Copy:
+    """A file that records are copied into; ``messages`` counts those."""
 
-    def _define(self, opcode: int, body: bytes) -> None:
-        """Keep a schema or a channel."""
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self._defined[opcode, struct.unpack_from("<H", body)[0]] = RECORD_HEAD.pack(opcode, len(body)) + body
+    def __init__(self, stream: BinaryIO) -> None:
+        self.writer: Any = Writer(stream, chunk_size=CHUNK_BYTES)
+        self.messages = 0
+        self._begun = False
+        # definitions by their ids in the file that is read, and the ids in this one
+        self._schemas: dict[int, tuple[Schema, int]] = {}
+        self._channels: dict[int, tuple[Channel, int]] = {}
 
-    def _records_of(self, opcode: int) -> bytearray:
-        records = [record for (kind, _), record in self._defined.items() if kind == opcode]
-        if opcode == Opcode.SCHEMA:
-            self._totals.schema_count = len(records)
-        else:
-            self._totals.channel_count = len(records)
-        return bytearray().join(records)
+    def begin(self, profile: str = "", library: str = "fauio") -> None:
+        """Write the head of the file, if it is not there."""
+        if not self._begun:
+            self._begun = True
+            self.writer.start(profile, library)
 
-    def _keep(self, chunk: _Chunk | None) -> None:
-        """Index a whole chunk."""
-        if chunk is not None and chunk.is_whole:
-            self._chunk_indexes += encoded(chunk.index)
-            self._count(chunk.index.message_start_time, chunk.index.message_end_time, chunk.counts)
+    def add(self, opcode: int, body: bytes) -> None:
+        """Add a record, unless it is an index."""
+        stream = ReadDataStream(BytesIO(body))
+        if opcode == Opcode.HEADER:
+            header = Header.read(stream)
+            self.begin(header.profile, header.library)
+        self.begin()
+        if opcode == Opcode.MESSAGE:
+            channel, sequence, time_ns, publish_ns = _MESSAGE.unpack_from(body)
+            self.writer.add_message(self._channels[channel][1], time_ns, body[_MESSAGE.size :], publish_ns, sequence)
+            self.messages += 1
+        elif opcode == Opcode.SCHEMA:
+            self._add_schema(Schema.read(stream))
+        elif opcode == Opcode.CHANNEL:
+            self._add_channel(Channel.read(stream))
+        elif opcode == Opcode.METADATA:
+            metadata = Metadata.read(stream)
+            self.writer.add_metadata(metadata.name, metadata.metadata)
+        elif opcode == Opcode.ATTACHMENT:
+            file = Attachment.read(stream)
+            self.writer.add_attachment(file.create_time, file.log_time, file.name, file.media_type, file.data)
+
+    def _add_schema(self, schema: Schema) -> None:
+        known = self._schemas.get(schema.id)
+        if known is None or known[0] != schema:
+            number = self.writer.register_schema(schema.name, schema.encoding, schema.data)
+            self._schemas[schema.id] = schema, number
+
+    def _add_channel(self, channel: Channel) -> None:
+        known = self._channels.get(channel.id)
+        if known is None or known[0] != channel:
+            schema = self._schemas[channel.schema_id][1] if channel.schema_id else 0
+            number = self.writer.register_channel(channel.topic, channel.message_encoding, schema, channel.metadata)
+            self._channels[channel.id] = channel, number
