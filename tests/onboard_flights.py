@@ -6,12 +6,14 @@ from collections.abc import Iterable, Iterator
 from math import cos, degrees, radians, sin
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from dataflash_writer import DataflashWriter
 from ulog_writer import UlogWriter
 
 from adapters.batch import Batch
 from adapters.batch import messages as messages_of_batch
+from adapters.logs import onboard_log
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
 
@@ -42,6 +44,12 @@ _TOPICS = {
 def messages_of(batches: Iterable[Batch]) -> list[Message]:
     """Return the messages of batches in their order."""
     return [message for batch in batches for message in messages_of_batch(batch)]
+
+
+def since_boot(batches: Iterable[Batch]) -> list[Message]:
+    """Return the messages of an onboard log with times since boot, as of one without a position fix."""
+    with mock.patch.object(onboard_log, "first_relation", return_value=0):
+        return messages_of(batches)
 
 
 def ulog_of(messages: Iterable[Message], path: Path, *, motors: bool = False) -> Path:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from dataflash_writer import DataflashWriter
-from onboard_flights import messages_of
+from onboard_flights import messages_of, since_boot
 
 from adapters.errors import TelemetryError
 from adapters.logs.damage import ScanStatistics, scan_damage
@@ -51,8 +51,8 @@ FLIGHT = bytes(LOG.data)
 def read(tmp_path: Path, data: bytes) -> tuple[list[Message], ScanStatistics]:
     path = tmp_path / "a.bin"
     path.write_bytes(data)
-    reader = DataflashReader(path, utc_minus_boot_ns=0)
-    return messages_of(reader), reader.statistics()
+    reader = DataflashReader(path)
+    return since_boot(reader), reader.statistics()
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ import test_adapters_ulog
 from dataflash_writer import DataflashWriter
 from hypothesis import given
 from hypothesis import strategies as st
-from onboard_flights import messages_of
+from onboard_flights import since_boot
 from ulog_writer import UlogWriter
 
 from adapters.errors import TelemetryError
@@ -46,8 +46,8 @@ class Kind:
     def read(self, folder: Path, data: bytes, **options: Any) -> tuple[list[Message], ScanStatistics]:
         path = folder / f"a{self.suffix}"
         path.write_bytes(data)
-        reader = self.reader(path, options.pop("only", None), 0, **options)
-        return messages_of(reader), reader.statistics()
+        reader = self.reader(path, options.pop("only", None), **options)
+        return since_boot(reader), reader.statistics()
 
     def messages(self, places: list[int]) -> int:
         """Return how many records are messages: formats, subscriptions and marks of ULog are none."""
@@ -139,8 +139,8 @@ def test_a_file_of_several_logs_is_refused_and_says_where_to_split_it(
 def test_compressed_logs_read_like_plain_ones(kind: Kind, folder: Path, suffix: str, pack: Any) -> None:
     path = folder / f"a{kind.suffix}{suffix}"
     path.write_bytes(pack(kind.flight))
-    reader = kind.reader(path, None, 0)
-    assert keys(messages_of(reader)) == whole(kind, folder)
+    reader = kind.reader(path)
+    assert keys(since_boot(reader)) == whole(kind, folder)
     assert scan_damage(path.name, reader.statistics()) is None
 
 

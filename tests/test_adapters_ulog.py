@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from onboard_flights import messages_of
+from onboard_flights import messages_of, since_boot
 from pyulog import ULog
 from ulog_writer import UlogWriter
 
@@ -72,8 +72,8 @@ FLIGHT = bytes(LOG.data)
 def read(tmp_path: Path, data: bytes) -> tuple[list[Message], ScanStatistics]:
     path = tmp_path / "a.ulg"
     path.write_bytes(data)
-    reader = UlogReader(path, utc_minus_boot_ns=0)
-    return messages_of(reader), reader.statistics()
+    reader = UlogReader(path)
+    return since_boot(reader), reader.statistics()
 
 
 @pytest.fixture(scope="module")

@@ -90,7 +90,7 @@ class DataflashReader(OnboardLogReader):
 
     source = DATAFLASH
     begins = _MARK + bytes([_FORMAT_KIND, _FORMAT_KIND, 89]) + b"FMT\0"
-    head_bytes = _HEAD_BYTES
+    head_bytes = fields_at = _HEAD_BYTES
     largest_bytes = 2 * _LARGEST_RECORD
     padding_bytes = _PADDING_BYTES
     ends_anywhere = True
@@ -101,7 +101,7 @@ class DataflashReader(OnboardLogReader):
         formats = self._format("FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")
         formats.defines = True
         # by the bytes that records begin with
-        self._heads = {_head(_FORMAT_KIND): formats}
+        self._formats = {_head(_FORMAT_KIND): formats}
 
     def _open(self, window: Window) -> None:
         if not window.fill(_HEAD_BYTES) or window.data[:_HEAD_BYTES] != _MARK + bytes([_FORMAT_KIND]):
@@ -109,43 +109,39 @@ class DataflashReader(OnboardLogReader):
                 f"{self._path}: not a DataFlash log although its name says so; check where it came from"
             )
 
-    def _chain(self, window: Window, records: Records) -> None:
-        data, at, heads = window.data, window.at, self._heads
-        end = len(data)
-        start, kind = records.start, records.kind
-        count = 0
-        while True:
-            form = heads.get(data[at : at + _HEAD_BYTES])
-            if form is None:
-                break
-            behind = at + form.length
-            if behind > end or (form.defines and not self._learn(form, data[at + _HEAD_BYTES : behind])):
-                break
-            count += 1
-            if form.kind.wanted:
-                start.append(at + _HEAD_BYTES)
-                kind.append(form.kind)
-            at = behind
-        self._records += count
-        window.at = at
+    def _known(self, head: bytes) -> tuple[int, RecordKind | None] | None:
+        form = self._formats.get(head)
+        # what defines others is learned before the next record is looked at
+        if form is None or form.defines:
+            return None
+        return form.length, form.kind if form.kind.wanted else None
 
     def _single(self, window: Window, records: Records) -> bool:
-        del records
-        form = self._heads.get(window.data[window.at : window.at + _HEAD_BYTES])
+        form = self._formats.get(window.data[window.at : window.at + _HEAD_BYTES])
         if form is None:
             return self._resume(window)
         if not window.fill(form.length):
             return self._resume(window, end=True)
-        # a record that defines nothing after all is damage; before any other one the chain only ran out of bytes
+        if not form.defines:
+            # the chain only ran out of bytes
+            return True
         body = window.data[window.at + _HEAD_BYTES : window.at + form.length]
-        return not form.defines or self._learn(form, body) or self._resume(window)
-
-    def _learn(self, form: _Format, body: bytes) -> bool:
-        """Learn from a record what others look like; return whether it is one."""
         fields = form.kind.layout.rows(np.frombuffer(body, form.kind.layout.dtype))[0]
-        if form is self._heads[_head(_FORMAT_KIND)]:
+        if not self._learn(form, fields):
+            # a record that defines nothing after all is damage
+            return self._resume(window)
+        self._heads.clear()
+        self._records += 1
+        window.at += form.length
+        if self._only is None or form.kind.name in self._only:
+            records.add_decoded(form.kind.name, fields)
+        return True
+
+    def _learn(self, form: _Format, fields: Mapping[str, Any]) -> bool:
+        """Learn from a record what others look like; return whether it is one."""
+        if form is self._formats[_head(_FORMAT_KIND)]:
             return self._define(form, fields)
-        defined = self._heads.get(_head(_whole(fields.get("FmtType"))))
+        defined = self._formats.get(_head(_whole(fields.get("FmtType"))))
         place = str(fields.get("UnitIds", "")).find(_INSTANCE)
         if defined is not None and 0 <= place < len(defined.columns):
             instance = defined.columns[place]
@@ -167,11 +163,11 @@ class DataflashReader(OnboardLogReader):
         number = fields["Type"]
         if number == _FORMAT_KIND:
             return made.length == form.length
-        before = self._heads.get(_head(number))
+        before = self._formats.get(_head(number))
         if before is not None and before.columns == made.columns:
             made.kind.instance = before.kind.instance
         made.defines = made.kind.name == "FMTU"
-        self._heads[_head(number)] = made
+        self._formats[_head(number)] = made
         return True
 
     def _format(self, name: str, length: int, codes: str, columns: str) -> _Format:
@@ -189,26 +185,25 @@ class DataflashReader(OnboardLogReader):
         if not window.fill(ahead + _HEAD_BYTES):
             return window.left == ahead
         at = window.at + ahead
-        return window.data[at : at + _HEAD_BYTES] in self._heads
+        return window.data[at : at + _HEAD_BYTES] in self._formats
 
     def _standing(self, window: Window, searched: int) -> int | None:
         # one that has another behind it
         start, at = window.at, window.at
         while (at := window.data.find(_MARK, at + 1, start + searched)) >= 0:
-            form = self._heads.get(window.data[at : at + _HEAD_BYTES])
+            form = self._formats.get(window.data[at : at + _HEAD_BYTES])
             if form is not None and self._stands(window, at - start + form.length):
                 return at - start
         return None
 
     @staticmethod
-    def relation(boot_ns: NDArray[np.int64], *fields: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return UTC minus time since boot by n records of GPS, and where there was a fix."""
+    def relation(boot_ns: int, *fields: int) -> int | None:
+        """Return UTC minus time since boot by a record of GPS that had a fix."""
         week, ms, old_week, old_ms, status = fields
-        old = week <= 0
-        week, ms = np.where(old, old_week, week), np.where(old, old_ms, ms)
-        # weeks have 16 bits, milliseconds of a week 32: what damage makes of them fits
+        if week <= 0:
+            week, ms = old_week, old_ms
         utc_ms = (_GPS_EPOCH_S + _WEEK_S * week - _LEAP_S) * 1_000 + ms
-        return utc_ms * 1_000_000 - boot_ns, (week > 0) & (status >= _FIX_3D)
+        return utc_ms * 1_000_000 - boot_ns if week > 0 and status >= _FIX_3D else None
 
 
 def _head(number: int) -> bytes:

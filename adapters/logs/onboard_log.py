@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, Columns, gathered
+from adapters.batch import Batch, Columns, gathered, messages
 from adapters.errors import TelemetryError
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.damage import ScanStatistics
@@ -348,14 +348,14 @@ class OnboardLogReader(ABC):
     (:class:`LogClock`). Iterate once; :meth:`statistics` tells what was found. Each kind of log says how its records
     follow one another.
 
-    ``only`` names the messages wanted, None wants all. Where the relation of boot to UTC, or the clock that gives
-    records their times, is known already, it is not looked for in the log. A batch is of ``read_ahead_bytes`` of the
-    log, decompressed.
+    ``only`` names the messages wanted, None wants all. Where the clock that gives records their times is known already,
+    it is not looked for in the log. A batch is of ``read_ahead_bytes`` of the log, decompressed.
     """
 
     source: ClassVar[Source]
     begins: ClassVar[bytes]  # what every log of its kind begins with, and has nowhere else
     head_bytes: ClassVar[int]  # least bytes of a record
+    fields_at: ClassVar[int]  # bytes that tell the kind of a record, behind which its fields begin
     largest_bytes: ClassVar[int]  # most bytes of a record and of the head of the next one
     padding_bytes: ClassVar[int] = -1  # what may be left at the end and is no damage
     ends_anywhere: ClassVar[bool] = False  # whether a log that ends within a record is whole
@@ -366,16 +366,16 @@ class OnboardLogReader(ABC):
         self,
         path: str | os.PathLike[str],
         only: Collection[str] | None = None,
-        utc_minus_boot_ns: int | None = None,
         read_ahead_bytes: int = READ_AHEAD_BYTES,
         clock: LogClock | None = None,
     ) -> None:
         self._path = Path(path)
         self._only = only
-        self._offset_ns = utc_minus_boot_ns
         self._read_ahead_bytes = read_ahead_bytes
         self._clock = clock
         self._head_ns: int | None = None
+        # bytes of a record that begins like this, and its kind where it is wanted
+        self._heads: dict[bytes, tuple[int, RecordKind | None]] = {}
         self._records = self._unknown = self._damaged = self._skipped_bytes = 0
         self._broken_off = False
         self._begin()
@@ -423,10 +423,38 @@ class OnboardLogReader(ABC):
         """Return the clock of the log; UTC minus time since boot from its first fix where that is not known."""
         scan = StartScan()
         start = scan.found(type(self)(self._path, read_ahead_bytes=_SCANNED_BYTES, clock=scan), self._head_ns)
-        if self._offset_ns is not None:
-            return LogClock(self._offset_ns, start)
         fixes = type(self)(self._path, self.fixes, clock=LogClock(0, start))
         return LogClock(first_relation(fixes, self.fix_fields, self.relation) or 0, start)
+
+    def _chain(self, window: Window, records: Records) -> None:
+        """Take the records that follow one another among the bytes held."""
+        data, at, known_by, size = window.data, window.at, self._heads.get, self.fields_at
+        end = self._chain_end(window)
+        add_start, add_kind = records.start.append, records.kind.append
+        count = 0
+        while True:
+            fields_at = at + size
+            head = data[at:fields_at]
+            known = known_by(head)
+            if known is None:
+                if (known := self._known(head)) is None:
+                    break
+                self._heads[head] = known
+            length, wanted = known
+            behind = at + length
+            if behind > end:
+                break
+            count += 1
+            if wanted is not None:
+                add_start(fields_at)
+                add_kind(wanted)
+            at = behind
+        self._records += count
+        window.at = at
+
+    def _chain_end(self, window: Window) -> int:
+        """Return the end of the bytes held in which records may follow one another, as an index of them."""
+        return len(window.data)
 
     @abstractmethod
     def _begin(self) -> None:
@@ -437,8 +465,11 @@ class OnboardLogReader(ABC):
         """Step over what is no record at the beginning; raise TelemetryError where the file is no such log."""
 
     @abstractmethod
-    def _chain(self, window: Window, records: Records) -> None:
-        """Take the records that follow one another among the bytes held."""
+    def _known(self, head: bytes) -> tuple[int, RecordKind | None] | None:
+        """Return the bytes of a record that begins like this, and its kind where it is wanted; None ends a chain.
+
+        It is asked again only after ``_heads`` was cleared.
+        """
 
     @abstractmethod
     def _single(self, window: Window, records: Records) -> bool:
@@ -450,8 +481,8 @@ class OnboardLogReader(ABC):
 
     @staticmethod
     @abstractmethod
-    def relation(boot_ns: NDArray[np.int64], *fields: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return UTC minus time since boot by n fixes, and where it can be that: see :func:`first_relation`."""
+    def relation(boot_ns: int, *fields: int) -> int | None:
+        """Return UTC minus time since boot by a fix, None where it tells none: see :func:`first_relation`."""
 
     def _skip(self, window: Window, count: int) -> None:
         taken = count if window.fill(count) else window.left
@@ -477,40 +508,18 @@ class OnboardLogReader(ABC):
         return ahead is not None
 
 
-def first_relation(
-    batches: Iterable[Batch],
-    fields: Sequence[str],
-    relation: Callable[..., tuple[NDArray[np.int64], NDArray[np.bool_]]],
-) -> int | None:
+def first_relation(batches: Iterable[Batch], fields: Sequence[str], relation: Callable[..., int | None]) -> int | None:
     """Return UTC minus time since boot from the first record that tells it; None without one.
 
-    The batches are records of receivers of satellites, with their times since boot as times of arrival. From those
-    times, nanoseconds (n,), and the named ``fields`` of n records, whole numbers (n,), zero where they have none,
-    ``relation`` returns the relation, nanoseconds (n,), and whether it can be one (n,).
+    The batches are records of receivers of satellites, with their times since boot as times of arrival. ``relation``
+    takes that time and the named ``fields``, whole numbers, zero where a record has none.
     """
     for batch in batches:
-        rows = [(group.position, group.received_ns, group.fields) for group in batch.columns]
-        rows += [
-            (
-                np.array([at]),
-                np.array([message.received_ns]),
-                {name: np.array([value]) for name, value in message.fields.items() if type(value) is int},
-            )
-            for at, message in batch.others.items()
-        ]
-        candidates: list[tuple[int, int]] = []
-        for position, boot_ns, columns in rows:
-            numbers = []
-            for name in fields:
-                values = columns.get(name)
-                if values is None or values.dtype.kind not in "iu" or values.ndim > 1:
-                    values = np.zeros(len(position), np.int64)
-                numbers.append(values.astype(np.int64))
-            offset_ns, good = relation(boot_ns, *numbers)
-            good &= (boot_ns > 0) & (offset_ns >= 0) & (offset_ns < LATEST_NS)
-            candidates += ((int(position[row]), int(offset_ns[row])) for row in np.flatnonzero(good)[:1])
-        if candidates:
-            return min(candidates)[1]
+        for message in messages(batch):
+            values = (message.fields.get(name) for name in fields)
+            offset_ns = relation(message.received_ns, *(value if type(value) is int else 0 for value in values))
+            if offset_ns is not None and message.received_ns > 0 and 0 <= offset_ns < LATEST_NS:
+                return offset_ns
     return None
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adapters.errors import TelemetryError
 from adapters.logs.onboard_log import (
@@ -235,6 +234,7 @@ class UlogReader(OnboardLogReader):
     source = ULOG
     begins = _MAGIC
     head_bytes = _HEAD.size
+    fields_at = _DATA_HEAD.size
     largest_bytes = 2 * _HEAD.size + _ID.size + (1 << 16)
     fixes = GPS_TOPICS
     fix_fields = ("time_utc_usec", "fix_type", "timestamp_time_relative")
@@ -243,7 +243,6 @@ class UlogReader(OnboardLogReader):
         self._formats: dict[str, tuple[UlogField, ...]] = {}
         self._kinds: dict[str, tuple[UlogType, RecordKind]] = {}
         self._topics: dict[int, _Topic] = {}
-        self._heads: dict[bytes, tuple[int, RecordKind | None]] = {}
         self._appended: list[int] = []
         self._take: Mapping[int, Callable[[bytes], tuple[str, dict[str, Any]] | None]] = {
             ord("A"): self._subscribe,
@@ -260,44 +259,18 @@ class UlogReader(OnboardLogReader):
             ord("S"): _sync,
         }
 
-    def _chain(self, window: Window, records: Records) -> None:
-        data, at, known_by = window.data, window.at, self._heads.get
-        head_size = _DATA_HEAD.size
-        end = len(data) if not self._appended else min(len(data), window.index(self._appended[0]))
-        add_start, add_kind = records.start.append, records.kind.append
-        count = 0
-        while True:
-            fields_at = at + head_size
-            head = data[at:fields_at]
-            known = known_by(head) or self._known(head)
-            if known is None:
-                break
-            length, wanted = known
-            behind = at + length
-            if behind > end:
-                break
-            count += 1
-            if wanted is not None:
-                add_start(fields_at)
-                add_kind(wanted)
-            at = behind
-        self._records += count
-        window.at = at
+    def _chain_end(self, window: Window) -> int:
+        end = len(window.data)
+        return min(end, window.index(self._appended[0])) if self._appended else end
 
     def _known(self, head: bytes) -> tuple[int, RecordKind | None] | None:
-        """Return the bytes of a record that begins like this, and its kind where it is wanted; None if it is no data.
-
-        Records of a topic begin alike, so what is found out is kept until topics change.
-        """
         if len(head) < _DATA_HEAD.size:
             return None
         size, kind, number = _DATA_HEAD.unpack(head)
         topic = self._topics.get(number)
         if kind != _DATA or topic is None or not topic.least <= size <= topic.most:
             return None
-        known = _HEAD.size + size, topic.kind if topic.kind.wanted else None
-        self._heads[head] = known
-        return known
+        return _HEAD.size + size, topic.kind if topic.kind.wanted else None
 
     def _single(self, window: Window, records: Records) -> bool:
         size, kind = _HEAD.unpack_from(window.data, window.at)
@@ -374,13 +347,11 @@ class UlogReader(OnboardLogReader):
         return None
 
     @staticmethod
-    def relation(boot_ns: NDArray[np.int64], *fields: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return UTC minus time since boot by n records of receivers, and where there was a fix."""
+    def relation(boot_ns: int, *fields: int) -> int | None:
+        """Return UTC minus time since boot by a record of a receiver that had a fix."""
         utc_us, fix, relative_us = fields
-        found_us = utc_us - boot_ns // 1_000 - relative_us
-        # beyond the latest time nanoseconds do not fit
-        good = (fix >= _FIX_3D) & (utc_us > _YEAR_2001_US) & (found_us < LATEST_NS // 1_000)
-        return np.where(good, found_us, 0) * 1_000, good
+        good = fix >= _FIX_3D and utc_us > _YEAR_2001_US
+        return (utc_us - boot_ns // 1_000 - relative_us) * 1_000 if good else None
 
     def _subscribe(self, body: bytes) -> None:
         instance, number = struct.unpack_from("<BH", body)

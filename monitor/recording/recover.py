@@ -107,7 +107,9 @@ def run_recover(args: argparse.Namespace) -> int:
         say_json({"finished": rows, "not_finished": mistakes})
     else:
         for recording in finished:
-            cut = f"; its last {recording.cut_bytes} bytes were a record that was cut off" if recording.cut_bytes else ""
+            cut = (
+                f"; its last {recording.cut_bytes} bytes were a record that was cut off" if recording.cut_bytes else ""
+            )
             say(f"{recording.path}: finished, {recording.messages} messages{cut}")
         if not finished and not mistakes:
             say(f"{args.place}: nothing to finish")
