@@ -217,56 +217,63 @@ def _rule(columns: int) -> str:
 
 INTRODUCTION = f"""# Detection on recorded flights
 
+This page shows which faults fauio detects on recorded flights, how fast, and how other detectors do at the same rate
+of false alarms. The flights come from autopilots in their simulators, with injected faults whose onset is known to 20
+ms.
+
     python bench/detection.py FLIGHTS... --write
 
-makes this page: flights of simulated autopilots with injected faults, their onset known to 20 ms. Profiles are fitted
-on the healthy flights of the same folder, vehicle, frame and noise level, never on a flight with a fault or a
-disturbance. One flight to four to fit on: what is said here about rates of false alarms rests on minutes.
+makes this page. Profiles are fitted on the healthy flights of the same folder, vehicle, frame and noise level, never
+on a flight with a fault or a disturbance. Each profile has one to four flights, so the rates of false alarms rest on
+minutes.
 
-Beside fauio, with the same models, samples and gate, calibrated on the same healthy flights for the same number of
-false alarms ({FALSE_ALARMS_PER_HOUR:g} per hour and observer, extreme-value fit) with the same debounce:
+The other detectors use the same models, samples and gate. They are calibrated on the same healthy flights for the
+same number of false alarms ({FALSE_ALARMS_PER_HOUR:g} per hour and observer, extreme-value fit), with the same
+debounce unless stated otherwise:
 
-- **autopilot**: its own announcements (severity warning or worse) while the fault is on;
-- **Kalman filter**: states augmented by random-walk faults, one filter for as many faults as can be estimated together,
-  each channel answering for itself;
-- **Kalman bank**: such a filter for each hypothesis of the profile, chosen among as the profile chooses among its own:
-  where it does as well as fauio, the hypotheses do the work and not the gains. Baselines have no smallest size worth an
-  alarm, the profile has;
-- **GLR bank** and **CUSUM bank**: on the one-step prediction residual of the model without faults, whitened by its
-  healthy covariance; the GLR with each fault's response to a step over windows of 1 to {GLR_ROWS} samples, the CUSUM
-  along its mean direction. No debounce;
-- **residual energy**: mean square of the whitened one-step prediction residual over {WINDOW_S:g} s, in the manner of
-  control invariants. It sees and cannot name.
+- **autopilot**: its own announcements (severity warning or worse) during the fault;
+- **Kalman filter**: states augmented by random-walk faults, one filter for as many faults as can be estimated
+  together, each channel judged by itself;
+- **Kalman bank**: such a filter for each hypothesis of the profile, chosen as the profile chooses;
+- **GLR bank**: the one-step prediction residual of the model without faults, whitened by its healthy covariance and
+  compared with each fault's response to a step over windows of 1 to {GLR_ROWS} samples; no debounce;
+- **CUSUM bank**: the same residual along the mean direction of each fault; no debounce;
+- **residual energy**: mean square of that residual over {WINDOW_S:g} s, as control invariants do; it cannot name a
+  channel.
 
-All are compared **at the same rate of false alarms**: where a baseline raised more than fauio on the flights of a
-vehicle that its fit had not seen, its sizes are doubled until it does not, up to {FACTORS[-1]:g} times. It may look at
-those flights for it, fauio may not. The last table has what each raised as it was fitted. Alarms of all come when their
-sample is known: a sample on the line between two fixes of a GPS waits for the second.
+If the Kalman bank does as well as fauio, the hypotheses decide and not the gains. The other detectors have no
+smallest size worth an alarm; the profile has one.
 
-Faults that the profile only watches for jumps are not among the Kalman filters' states: a sensor bias that may walk
-explains everything. The filters' fault rates are those of the models; a filter tuned by hand could do better.
+**The same rate of false alarms.** If a detector raised more false alarms than fauio on flights that its fit had not
+seen, its sizes are doubled until it does not, up to {FACTORS[-1]:g} times. It may use those flights for that; fauio
+may not. The last table has the false alarms before that step. An alarm's time is when its sample is known: a sample
+on the line between two GPS fixes waits for the second fix.
+
+**Left out.** Faults that the profile watches only for jumps are no states of the Kalman filters, since a sensor bias
+that may walk explains everything. The filters' fault rates are those of the models; a filter tuned by hand could do
+better.
 
 ## What is wrong
 
-Every fault that fauio misses, names together with something else or sees later than another detector, what it clears
-later than {CLEARS_WITHIN_S:g} s after the end, its false alarms, and what could not be measured.
+Faults that fauio misses, names together with another channel or sees later than another detector; alarms that clear
+later than {CLEARS_WITHIN_S:g} s after the end; false alarms; and what could not be measured.
 """
 
-BY_KIND = """Faults seen, median and worst delay from the injection, and how often the right channel and no other was
-named. Of a fault whose kind is not known, any alarm counts."""
+BY_KIND = """Faults seen, median and worst delay from the injection, and how often only the right channel was named.
+If the kind of a fault is not known, any alarm counts."""
 
-BY_FLIGHT = f"""Delay until the right channel's alarm; "also" are wrong channels, up to {AFTERMATH_S:g} s after the
-fault's end. "limit" is when the nats of the fault, its size and onset known, are those of
-{FALSE_ALARMS_PER_HOUR:g} false alarms an hour by the fitted model of calm flight: no detector on these samples is
-sooner, and none knows size and onset. An actuator that stands still shows nothing: delays of steering and surfaces
-count from the injection, not from the first turn."""
+BY_FLIGHT = f"""Delay until the right channel's alarm; "also" are wrong channels up to {AFTERMATH_S:g} s after the
+fault's end. "limit" is the time after which the fault, with size and onset known, has as many nats as
+{FALSE_ALARMS_PER_HOUR:g} false alarms an hour need by the fitted model of calm flight. No detector on these samples
+is sooner, and none knows size and onset. An actuator at rest shows nothing: delays of steering and surfaces count
+from the injection, not from the first turn."""
 
-ESTIMATES = f"""Mean estimate of mean truth, and root mean square error: from {SETTLING_S:g} s after the alarm that
-names the fault to {FIRST_S:g} s after it, as long as it stands; and from {SETTLING_S:g} s after the onset to the end,
-alarm or not. A loss is a share of the command. "Cleared" is when the last alarm of the fault was over, from the fault's
-end. (An autopilot that changes over to a healthy sensor ends a fault before its time.)"""
+ESTIMATES = f"""Mean estimate of mean truth, and root mean square error. "First" is from {SETTLING_S:g} s after the
+alarm that names the fault to {FIRST_S:g} s after it, while it is active; "whole fault" is from {SETTLING_S:g} s after
+the onset to the end, with or without an alarm. A loss is a share of the command. "Cleared" is the time from the
+fault's end to the end of its last alarm. (An autopilot that changes over to a healthy sensor ends a fault early.)"""
 
-FALSE = f"""As fitted, alarms outside faults (and {AFTERMATH_S:g} s behind them, for a fault's end is a jump too), a
-step of wind being none. Of the autopilot only what it says before the first fault counts. Flights "in the fit" are
-in-sample: their largest values made the thresholds, so zeros there say little. Left-out rows are made with profiles
-fitted on the other healthy flights alone; a profile of fewer flights is worse than the one that is shipped."""
+FALSE = f"""Alarms outside faults, as fitted. Alarms up to {AFTERMATH_S:g} s after a fault do not count, since the end
+of a fault is a jump too; a step of wind is no fault. Of the autopilot only announcements before the first fault
+count. Flights "in the fit" made the thresholds, so zeros there mean little. Rows "left out" have profiles of the
+other healthy flights only, which are worse than the shipped profile."""

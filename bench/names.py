@@ -368,15 +368,15 @@ def misses(outcomes: Sequence[Outcome]) -> list[str]:
         elif outcome.others:
             lines.append(f"- not alone: {where}, also {', '.join(outcome.others)}")
         if outcome.named and (outcome.cleared_s is None or outcome.cleared_s > SLOW_TO_CLEAR_S):
-            after = "not" if outcome.cleared_s is None else f"only after {outcome.cleared_s:.1f} s"
-            lines.append(f"- {after} cleared: {where}")
+            after = "never" if outcome.cleared_s is None else f"only after {outcome.cleared_s:.1f} s"
+            lines.append(f"- cleared {after}: {where}")
     return sorted(lines, key=lambda line: ("not seen" not in line, "named wrongly" not in line, "alone" not in line))
 
 
 def _cell(outcome: Outcome) -> str:
     if outcome.refused:
         return "not tried"
-    missed = f"no alarm, said: {outcome.said}" if outcome.said else "MISSED"
+    missed = f"no alarm, reported: {outcome.said}" if outcome.said else "MISSED"
     parts = [missed if outcome.delay_s is None else f"{outcome.delay_s:.2f} s"]
     if outcome.others:
         parts.append(f"{'also' if outcome.delay_s is not None else 'but'} {', '.join(outcome.others)}")
@@ -396,20 +396,28 @@ SLOW_TO_CLEAR_S = 5.0
 
 INTRODUCTION = f"""# Kinds of faults and their names
 
+This page shows which kinds of faults are seen, which get the right name, and which alarms clear late, for each vehicle
+and kind of recording. A profile is fitted on all healthy flights but the first. Each fault is put into that first
+flight, {LEAD_S:g} s after take-off, for {FAULT_S:g} s; alarms up to {TAIL_S:g} s after its end count.
+
     python bench/names.py FLIGHTS... --write
 
-makes this page. Per vehicle and kind of recording the first healthy flight is left out, a profile is fitted on the
-others, and each fault is put exactly into the one left out, {LEAD_S:g} s after take-off and for {FAULT_S:g} s; what
-comes {TAIL_S:g} s after its end still counts. What is put in alters measurements alone: the vehicle does not fly by
-them, and the autopilot's attitude stays right. A motor that delivers less or more is answered by its command at once
-(`replay/attacks/plant_response.py`); the recorded faults of [detection](detection.md) and [rates](rates.md) have both.
+makes this page. Faults of sensors alter the measurements only: the vehicle does not react to them, and the autopilot's
+attitude stays right. A motor's fault is answered by its command at once (`replay/attacks/plant_response.py`). The
+recorded faults of [detection](detection.md) and [rates](rates.md) have both reactions.
 
 ## What is wrong
+
+"not alone" means that other channels were named too.
 """
 
-BY_KIND = f"""Delay until the right name, other names raised until {AFTERMATH_S:g} s after the end, the last size shown
-while it was on and its truth, the share of the estimates from 5 s after the onset on that have the truth within twice
-their published standard deviation (95 % would be right), and when the last of its alarms had cleared, from its end."""
+BY_KIND = f"""A cell has, in this order:
+
+- the delay until the right name, and the other names raised until {AFTERMATH_S:g} s after the end;
+- the last size shown during the fault, and its truth;
+- the share of estimates, from 5 s after the onset on, with the truth within twice their published standard deviation
+  (95 % would be right);
+- the time from the fault's end until the last of its alarms had cleared."""
 
 
 if __name__ == "__main__":

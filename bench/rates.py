@@ -262,22 +262,24 @@ def main() -> None:
 
 INTRODUCTION = """# Detection at the rates of real logs and links
 
+This page shows what fauio detects at low rates: the same flights of two autopilots' simulators as default logs hold
+them, as a link brings them to a companion computer, and as telemetry radios do.
+
     python bench/rates.py FLIGHTS... --write
 
-makes this page. The same flights of two autopilots' simulators, as their own logs hold them by default, as a link
-brings them to a companion computer, and as telemetry radios do. Profiles are fitted on the healthy flights of a vehicle
-and a kind of recording; in a second round each healthy flight is left out and watched with a profile of the others; and
-one flight that only hovers is fitted alone. Flights count up to touchdown.
+makes this page. Profiles are fitted on the healthy flights of a vehicle and a kind of recording. In a second round each
+healthy flight is left out and watched with a profile of the others. One flight that only hovers is fitted by itself.
+Flights count up to touchdown.
 
 ## What is wrong
 
-What was refused, missed or named wrongly, and every alarm without a fault:
+Faults that were missed or named wrongly, fits that were refused, and all false alarms:
 """
 
-BY_GROUP = """Faults named, median and worst delay from the onset, how many were named alone; processor time of the fit;
-alarms without a fault, per minutes watched."""
+BY_GROUP = """Faults named, with the median and worst delay from the onset; faults of which no other channel was named
+("alone"); processor time of the fit; false alarms and the minutes watched."""
 
-BY_FAULT = f"""Delay until the right name; other names raised until {AFTERMATH_S:g} s after the fault's end."""
+BY_FAULT = f"""Delay until the right name, and other names raised until {AFTERMATH_S:g} s after the fault's end."""
 
 
 if __name__ == "__main__":
