@@ -27,7 +27,7 @@ import numpy as np
 
 from adapters.errors import ModelError
 from adapters.output_file import write_file
-from adapters.toml_tables import Table, TomlFile, read_toml
+from adapters.toml_tables import Table, TomlFile, read_toml, toml_value
 from gains.plants.model_table import one_line, read_by_name, read_intervals, read_matrix, read_rows, read_vector
 from gains.plants.plant import (
     Disturbance,
@@ -338,18 +338,8 @@ def _text(document: Mapping[str, Any]) -> str:
         is_list_of_tables = isinstance(value, list)
         if isinstance(value, Mapping) or is_list_of_tables:
             for table in value if is_list_of_tables else [value]:
-                entries = [f"{name} = {_inline(entry)}" for name, entry in table.items()]
+                entries = [f"{name} = {toml_value(entry)}" for name, entry in table.items()]
                 sections += ["", f"[[{key}]]" if is_list_of_tables else f"[{key}]", *entries]
         else:
-            lines.append(f"{key} = {_inline(value)}")
+            lines.append(f"{key} = {toml_value(value)}")
     return "\n".join([*lines, *sections]) + "\n"
-
-
-def _inline(value: Any) -> str:
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{name} = {_inline(entry)}" for name, entry in value.items()) + " }"
-    if isinstance(value, Sequence):
-        return "[" + ", ".join(map(_inline, value)) + "]"
-    return repr(value)
