@@ -72,5 +72,5 @@ def test_channels_as_they_are_need_no_transform() -> None:
 def test_an_unknown_kind_and_rates_that_do_not_fit_are_refused_in_one_line() -> None:
     with pytest.raises(TelemetryError, match=r"no transform is called 'magic'; there are .*strapdown"):
         make_transform(TransformRule("magic", 100.0), 25.0)
-    with pytest.raises(TelemetryError, match="no whole multiple of 30 Hz"):
+    with pytest.raises(TelemetryError, match="cannot be grouped to samples at 30 Hz"):
         make_transform(RULE, 30.0)

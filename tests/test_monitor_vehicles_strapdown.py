@@ -370,7 +370,7 @@ def messages(k: int, row: np.ndarray) -> list[Message]:
         ({"washout_s": 0.0}, 25.0, "washout_s"),
         ({"gps_delay_s": math.nan}, 25.0, "gps_delay_s"),
         ({"gps": 0.5}, 25.0, "gps"),
-        ({}, 30.0, "rate_hz"),
+        ({}, 30.0, "samples at 30 Hz"),
     ],
 )
 def test_parameters_that_cannot_be_are_named(parameters: dict[str, float], rate: float, word: str) -> None:

@@ -110,15 +110,11 @@ class ScaledInputs(ABC):
 
     def _check(self, parameters: Mapping[str, float]) -> None:
         timing = {f"{actuator}_{key}" for actuator in self.actuators for key in ("delay_s", "lag_s")}
-        known = {"reference_speed", "minimum_speed"} | timing | self.extra_parameters
-        unknown = sorted(set(parameters) - known)
-        if unknown:
-            raise TelemetryError(
-                f"transform '{self.kind}': unknown parameter '{unknown[0]}'; known are {', '.join(sorted(known))}"
-            )
-        for name in ("reference_speed", "minimum_speed"):
-            if not 0.0 < parameters.get(name, 0.0) < 1e4:
-                raise TelemetryError(f"transform '{self.kind}': '{name}' is missing or no positive speed in m/s")
+        speeds = ("reference_speed", "minimum_speed")
+        check_parameters(self.kind, parameters, speeds, optional=timing | self.extra_parameters)
+        for name in speeds:
+            if not 0.0 < parameters[name] < 1e4:
+                raise TelemetryError(f"transform '{self.kind}': '{name}' is no positive speed in m/s")
         for name in sorted(timing & set(parameters)):
             if not 0.0 <= parameters[name] <= 2.0:
                 raise TelemetryError(

@@ -37,6 +37,7 @@ from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
 from monitor.core.navigation import Navigation
 from monitor.core.strapdown import StrapdownCore
+from monitor.sampling.scaled import check_parameters, raw_per_sample
 
 IMU = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "roll", "pitch", "yaw")
 GPS = ("lat", "lon", "gps_alt", "gps_speed", "gps_course")
@@ -130,11 +131,7 @@ class Strapdown:
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
         values = _checked(parameters)
-        count = round(signal_rate_hz / rate_hz)
-        if count < 1 or abs(count * rate_hz - signal_rate_hz) > 1e-9 * signal_rate_hz:
-            raise TelemetryError(
-                f"strapdown: {signal_rate_hz:g} Hz of signals is no whole multiple of {rate_hz:g} Hz; change 'rate_hz'"
-            )
+        count = raw_per_sample("strapdown", signal_rate_hz, rate_hz)
         gps, baro, mag = (values[key] > 0.0 for key in ("gps", "barometer", "magnetometer"))
         speed = (GPS[3:], (), BODY_SPEED)[int(values["gps"]) - 1] if gps else ()
         judged = values["judge_level"] > 0.0 and bool(speed)
@@ -233,9 +230,7 @@ def _washout(tau: float, period: float) -> tuple[float, float]:
 
 
 def _checked(parameters: Mapping[str, float]) -> dict[str, float]:
-    unknown = sorted(set(parameters) - set(DEFAULTS))
-    if unknown:
-        raise TelemetryError(f"strapdown: unknown parameter '{unknown[0]}'; known are {', '.join(DEFAULTS)}")
+    check_parameters("strapdown", parameters, (), optional=DEFAULTS)
     values = {**DEFAULTS, **parameters}
     for key, value in values.items():
         if key in ("gps", "barometer", "magnetometer"):
