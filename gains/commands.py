@@ -407,7 +407,7 @@ def _failure(plant: Plant, args: argparse.Namespace, error: ValueError) -> dict[
     if args.method not in _BASELINES:
         known["noise_once"] = args.noise_once
         known["fault_rate"] = {fault.name: fault.rate for fault in plant.actuator_faults}
-        known["faults"] = [fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults)]
+        known["faults"] = list(plant.fault_names)
     elif continuous:
         del known["poles_min_re"]
     rate_hz = plant.rate_hz if args.rate is None else args.rate

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.errors import ModelError
-from gains.plants.expression import Node, compile_node
+from gains.plants.expression import Node, compile_node, parse_expression
 from gains.plants.slopes import check_slopes, enclosure, slope_bounds
 
 EVERYWHERE = (-math.inf, math.inf)
@@ -102,3 +102,9 @@ def test_arguments_that_an_expression_does_not_depend_on_cost_nothing() -> None:
     bounds = slope_bounds("sin(a)", names, [EVERYWHERE] * len(names))
     assert bounds[0] == pytest.approx((-1.0, 1.0), abs=1e-4)
     assert set(bounds[1:]) == {(0.0, 0.0)}
+
+
+def test_an_even_power_beyond_the_largest_number_is_enclosed() -> None:
+    least, largest = enclosure(parse_expression("x**2", ["x"]), ((-1e200, -1e199),))
+    assert 0.0 < least < math.inf
+    assert largest == math.inf

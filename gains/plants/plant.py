@@ -173,6 +173,11 @@ class Plant:
         return tuple(fault for fault in self.faults if fault.kind == "sensor")
 
     @property
+    def fault_names(self) -> tuple[str, ...]:
+        """Names of [f_a; f_s], the actuator faults first."""
+        return tuple(fault.name for fault in (*self.actuator_faults, *self.sensor_faults))
+
+    @property
     def E_f(self) -> FloatArray:
         """Directions of the actuator faults (n, a1)."""
         return _stacked((fault.column for fault in self.actuator_faults), len(self.states))

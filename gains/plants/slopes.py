@@ -271,17 +271,15 @@ def _power(low: float, high: float, exponent: float) -> Interval:
         if below <= 0.0 <= above or math.isinf(1.0 / below) or math.isinf(1.0 / above):
             raise _UndefinedError
         return 1.0 / above, 1.0 / below
-    if exponent.is_integer():
-        ends = (
-            _monotone(lambda x: math.pow(x, exponent), low),
-            _monotone(lambda x: math.pow(x, exponent), high),
-        )
-        if exponent % 2.0:
-            return ends
-        return (0.0 if low <= 0.0 <= high else min(ends)), max(ends)
-    if low < 0.0:
+
+    def power(x: float) -> float:
+        return math.pow(x, exponent)
+
+    if exponent % 2.0 == 0.0:
+        return _even(low, high, 0.0, power)
+    if low < 0.0 and not exponent.is_integer():
         raise _UndefinedError
-    return _monotone(lambda x: math.pow(x, exponent), low), _monotone(lambda x: math.pow(x, exponent), high)
+    return _monotone(power, low), _monotone(power, high)
 
 
 def _monotone(function: Callable[[float], float], x: float) -> float:
@@ -289,7 +287,7 @@ def _monotone(function: Callable[[float], float], x: float) -> float:
     try:
         return function(x)
     except OverflowError:
-        return math.copysign(math.inf, x)
+        return math.copysign(math.inf, function(math.copysign(1.0, x)))
 
 
 def _wave(low: float, high: float, peak: float, function: Callable[[float], float]) -> Interval:
@@ -320,17 +318,10 @@ def _logarithm(low: float, high: float) -> Interval:
     return math.log(low), math.log(high)
 
 
-def _hyperbolic_cosine(low: float, high: float) -> Interval:
-    ends = (_monotone(math.cosh, abs(low)), _monotone(math.cosh, abs(high)))
-    return (1.0 if low <= 0.0 <= high else min(ends)), max(ends)
-
-
-def _absolute(low: float, high: float) -> Interval:
-    return (0.0 if low <= 0.0 <= high else min(abs(low), abs(high))), max(abs(low), abs(high))
-
-
-def _sign(low: float, high: float) -> Interval:
-    return (1.0 if low > 0.0 else -1.0), (-1.0 if high < 0.0 else 1.0)
+def _even(low: float, high: float, least: float, function: Callable[[float], float]) -> Interval:
+    """Enclose a function that grows from its ``least`` value at zero to both sides."""
+    ends = (_monotone(function, low), _monotone(function, high))
+    return (least if low <= 0.0 <= high else min(ends)), max(ends)
 
 
 _FUNCTION_ENCLOSURES: dict[str, Callable[[float, float], Interval]] = {
@@ -338,12 +329,12 @@ _FUNCTION_ENCLOSURES: dict[str, Callable[[float, float], Interval]] = {
     "cos": lambda low, high: _wave(low, high, 0.0, math.cos),
     "tan": _tangent,
     "sinh": lambda low, high: (_monotone(math.sinh, low), _monotone(math.sinh, high)),
-    "cosh": _hyperbolic_cosine,
+    "cosh": lambda low, high: _even(low, high, 1.0, math.cosh),
     "tanh": lambda low, high: (math.tanh(low), math.tanh(high)),
     "atan": lambda low, high: (math.atan(low), math.atan(high)),
     "exp": lambda low, high: (_monotone(math.exp, low), _monotone(math.exp, high)),
     "log": _logarithm,
     "sqrt": lambda low, high: _power(low, high, 0.5),
-    "abs": _absolute,
-    "sign": _sign,
+    "abs": lambda low, high: _even(low, high, 0.0, abs),
+    "sign": lambda low, high: ((1.0 if low > 0.0 else -1.0), (-1.0 if high < 0.0 else 1.0)),
 }

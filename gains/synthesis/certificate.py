@@ -197,7 +197,7 @@ def design_report(
         notes=[*design.notes, *_sample_note(plant, certificate)],
         noise_once=design.noise_once,
         fault_rate={fault.name: fault.rate for fault in plant.actuator_faults},
-        faults=[fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults)],
+        faults=list(plant.fault_names),
         **own,
     )
 

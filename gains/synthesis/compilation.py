@@ -134,7 +134,7 @@ def common_fields(plant: Plant, matrices: ObserverMatrices | None) -> dict[str, 
         "states": plant.states,
         "inputs": plant.inputs,
         "outputs": plant.outputs,
-        "faults": tuple(fault.name for fault in faults),
+        "faults": plant.fault_names,
         "fault_kinds": ("actuator",) * len(plant.actuator_faults) + ("sensor",) * len(plant.sensor_faults),
         "fault_units": tuple(fault.unit for fault in faults),
         "fault_inputs": tuple(None if fault.input is None else plant.inputs.index(fault.input) for fault in faults),
@@ -157,11 +157,10 @@ def common_matrix(
         The gains keep no such matrix, or their errors are not those of this model at this rate.
     """
     rate_hz = plant.rate_hz if rate_hz is None else rate_hz
-    faults = tuple(fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults))
     for what, here, there in (
         ("list of states is", plant.states, gains.states),
         ("list of outputs is", plant.outputs, gains.outputs),
-        ("list of faults is", faults, gains.faults),
+        ("list of faults is", plant.fault_names, gains.faults),
         ("rate is", rate_hz, gains.rate_hz),
     ):
         if here != there:

@@ -115,8 +115,7 @@ def _claimed(gains: Gains, path: str | Path) -> tuple[Plant, Design, float | Non
         ) from error
     size = len(gains.L1) + len(gains.L_i)
     sizes = {gains.states: plant.states, gains.outputs: plant.outputs, gains.inputs: plant.inputs}
-    faults = tuple(fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults))
-    if design.P.shape != (size, size) or any(a != b for a, b in sizes.items()) or faults != gains.faults:
+    if design.P.shape != (size, size) or any(a != b for a, b in sizes.items()) or plant.fault_names != gains.faults:
         raise ModelError(f"{path}: its certificate is that of another model; make the file again with 'fauio design'")
     if not (0.0 < design.mu < np.inf and design.sqrt_mu <= sqrt_mu * (1.0 + CONSISTENCY)):
         raise ModelError(f"{path}: it reports sqrt(mu) = {sqrt_mu:.6g} and proves {design.sqrt_mu:.6g}")
