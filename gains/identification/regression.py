@@ -17,12 +17,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
-
-FloatArray = NDArray[np.float64]
+from gains.plants.plant import FloatArray
 
 _LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)
 """Lags tried, s: those of motors and servos, half as long again from one to the next, which the fit can just tell

@@ -17,11 +17,10 @@ from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adapters.channels import Channel
 from adapters.errors import ModelError
-from gains.plants.plant import Plant
+from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.blocks import design_blocks
 from monitor.alarms.alarm import CURRENT, SPEED
 from monitor.alarms.excuse import ExcuseRule
@@ -35,8 +34,6 @@ from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.signals import multirotor_channels
 from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds, rounded
 from monitor.vehicles.multirotor.transform import TERMS, EscInputs, HeldMeans, deviation, terms
-
-FloatArray = NDArray[np.float64]
 
 OBSERVER = "esc"
 

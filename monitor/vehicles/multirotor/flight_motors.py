@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gains.identification.segment import Segment
+from gains.plants.plant import FloatArray
 from monitor.fitting.agreement import (
     Agreement,
     Cause,
@@ -25,8 +25,6 @@ from monitor.fitting.agreement import (
 )
 from monitor.vehicles.multirotor.identify import MultirotorFit
 from monitor.vehicles.multirotor.validation import motor_effect
-
-FloatArray = NDArray[np.float64]
 
 _TRIM, _THRUST, _CHANGE = 0.02, 0.03, 0.03
 """Usual scatter between flights: of the moment that keeps the vehicle level, as a share of half the motors' moments;

@@ -43,9 +43,7 @@ from gains.identification.coloured_noise import (
 )
 from gains.identification.lag import lag_taps, shortened
 from gains.identification.segment import Segment
-from gains.plants.plant import Disturbance, Fault, Noise, Plant
-
-FloatArray = NDArray[np.float64]
+from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant
 
 RATE_AXES = ("roll_rate", "pitch_rate", "yaw_rate")
 VERTICAL = "vertical_acceleration"

@@ -24,15 +24,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
+from gains.plants.plant import FloatArray
 from monitor.fitting.thresholds import Times
 from monitor.vehicles.multirotor.frames import Frame, standard_frames
 from monitor.vehicles.multirotor.identify import USUAL, MultirotorFit
-
-FloatArray = NDArray[np.float64]
 
 SLOW_COMMANDS_HZ = 25.0
 """Motor commands slower than this are taken as means. At 25 Hz two samples fall into the lag of a motor (50 to

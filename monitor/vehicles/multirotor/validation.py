@@ -8,13 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gains.identification.segment import Segment
+from gains.plants.plant import FloatArray
 from monitor.fitting.fit_report import Prediction
 from monitor.vehicles.multirotor.identify import MultirotorFit
-
-FloatArray = NDArray[np.float64]
 
 
 def predict_rates(fit: MultirotorFit, segments: Sequence[Segment], steps: int) -> list[Prediction]:
