@@ -97,7 +97,7 @@ def hold_back(packets: Sequence[Due], rng: random.Random, hold_s: float = 0.5, s
     return [((due // hold_ns + 1) * hold_ns if due // hold_ns in held else due, packet) for due, packet in packets]
 
 
-def fall_silent(packets: Sequence[Due], from_s: float, for_s: float = 10.0) -> list[Due]:
+def fall_silent(packets: Sequence[Due], from_s: float, for_s: float) -> list[Due]:
     """Lose everything for a while."""
     return [one for one in packets if not from_s * 1e9 <= one[0] < (from_s + for_s) * 1e9]
 
@@ -227,7 +227,7 @@ DISTORTIONS: Mapping[str, Distortion] = {
     "duplicates": lambda packets, rng, now_ns: duplicate(packets, rng),
     "reordering": lambda packets, rng, now_ns: reorder(packets, rng),
     "bursts": lambda packets, rng, now_ns: hold_back(packets, rng),
-    "silence": lambda packets, rng, now_ns: fall_silent(packets, 4.0),
+    "silence": lambda packets, rng, now_ns: fall_silent(packets, 4.0, 6.0),
     "clock": lambda packets, rng, now_ns: set_clock_back(packets, 5.0, 4.0),
     "reboot": lambda packets, rng, now_ns: reboot(packets, 5.0),
     "bits": lambda packets, rng, now_ns: flip_bits(packets, rng),

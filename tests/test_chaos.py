@@ -48,7 +48,7 @@ def packets_of(log: Path, distortion: str) -> list[Due]:
 
 
 def raised(profile: Profile, packets: Sequence[Due]) -> list[AlarmEvent]:
-    """Return the alarms raised, those of the link left out; time passes where nothing comes."""
+    """Return the alarms raised; time passes where nothing comes."""
     stream, guard = PacketStream(), SigningGuard(chaos.KEY, require_signed=False)
     messages: list[Message] = []
     heard_ns = START_NS
