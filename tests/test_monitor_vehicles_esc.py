@@ -37,23 +37,23 @@ def flown_at_10_hz() -> list[Message]:
 
 def fit(logs: list[list[Message]], folder: Path) -> FitReport:
     with pytest.MonkeyPatch.context() as patch:
-        # what a profile will detect is measured, and its comparison drawn, in other tests
-        patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
+        # what a profile will detect is measured, its comparison drawn, and the trim fitted in other tests
         patch.setattr("replay.fit.draw_comparison", lambda *_: None)
-        return fit_profile("multirotor", [partial(packed, log) for log in logs], folder, "quad")
+        patch.setattr("monitor.vehicles.multirotor.fit.fit_trim", lambda *_: None)
+        return fit_profile("multirotor", [partial(packed, log) for log in logs], folder, "quad", capability=False)
 
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitReport, Profile]:
     folder = tmp_path_factory.mktemp("chain") / "quad"
-    report = fit([list(flight(seed, 60.0, order=ORDER, sag_v=0.8 * seed)) for seed in (1, 2)], folder)
+    report = fit([list(flight(seed, 45.0, order=ORDER, sag_v=0.8 * seed)) for seed in (1, 2)], folder)
     return report, read_profile(folder)
 
 
 @pytest.fixture(scope="module")
 def slow(tmp_path_factory: pytest.TempPathFactory) -> Profile:
     folder = tmp_path_factory.mktemp("chain") / "quad"
-    fit([list(flight(seed, 60.0, esc_hz=3.0)) for seed in (1, 2)], folder)
+    fit([list(flight(seed, 45.0, esc_hz=3.0)) for seed in (1, 2)], folder)
     return read_profile(folder)
 
 
