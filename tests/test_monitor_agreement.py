@@ -123,13 +123,20 @@ def identified(flights: list[list[Segment]]) -> MultirotorFit:
     ]
 
 
-def compared(flights: list[list[Segment]], fit: MultirotorFit | None = None) -> Agreement:
+@functools.cache
+def healthy() -> tuple[list[list[Segment]], MultirotorFit]:
+    flights = [quad(1.0, seed) for seed in range(4)]
+    return flights, identified(flights)
+
+
+def compared(flights: list[list[Segment]], fit: MultirotorFit) -> Agreement:
     names = [str(number) for number in range(len(flights))]
-    return motor_agreement(fit or identified(flights), names, flights, ["motor1", "motor2", "motor3", "motor4"])
+    return motor_agreement(fit, names, flights, ["motor1", "motor2", "motor3", "motor4"])
 
 
 def test_a_weak_motor_is_named_with_its_share() -> None:
-    verdicts = compared([quad(1.0, seed) for seed in range(4)] + [quad(0.88, 9)])
+    flights = [*healthy()[0], quad(0.88, 9)]
+    verdicts = compared(flights, identified(flights))
     assert disagreeing(verdicts) == ["4"]
     assert verdicts.left_out == {"4"}
     assert verdicts.lines()[0].startswith("4 disagrees with the other flights and is left out: motor3 pushes 12 % less")
@@ -160,28 +167,27 @@ def heavier(flight: list[Segment], begin: float, end: float) -> list[Segment]:
     ],
 )
 def test_a_payload_or_a_battery_that_sags_shows_in_the_thrust(begin: float, end: float, says: str) -> None:
-    flights = [quad(1.0, seed) for seed in range(4)]
-    verdicts = compared([*flights, heavier(quad(1.0, 9), begin, end)])
+    flights, fit = healthy()
+    verdicts = compared([*flights, heavier(quad(1.0, 8), begin, end)], fit)
     assert disagreeing(verdicts) == ["4"]
     assert says in verdicts.lines()[0]
 
 
 def test_how_lively_a_flight_was_is_no_disagreement() -> None:
-    flights = [quad(1.0, seed) for seed in range(3)]
-    calm = quad(1.0, 5)
+    flights, fit = healthy()
     hover = [
         Segment(0.5 + (one.u - 0.5) * 0.2 + 0.002 * np.random.default_rng(1).normal(size=one.u.shape), 0.2 * one.y)
-        for one in calm
+        for one in quad(1.0, 8)
     ]
-    assert disagreeing(compared([*flights, hover])) == []
+    assert disagreeing(compared([*flights, hover], fit)) == []
 
 
 def test_a_fault_for_a_part_of_a_flight_does_not_drown_in_its_mean() -> None:
-    flights = [quad(1.0, seed) for seed in range(4)]
-    healthy, weak = quad(1.0, 8), quad(0.85, 9)
-    third = len(weak[0].u) // 3
-    odd = [Segment(one.u[:third], one.y[:third]) for one in (healthy[0], weak[0], healthy[0])]
-    verdicts = compared([*flights, odd])
+    flights, fit = healthy()
+    [well], [weak] = quad(1.0, 8), quad(0.85, 9)
+    third = len(weak.u) // 3
+    odd = [Segment(one.u[:third], one.y[:third]) for one in (well, weak, well)]
+    verdicts = compared([*flights, odd], fit)
     assert disagreeing(verdicts) == ["4"]
     assert verdicts.left_out == {"4"}
     assert "motor3 pushes 1" in verdicts.lines()[0]

@@ -87,7 +87,13 @@ class Motors:
         return -run.evidence / HOVER
 
 
-@pytest.fixture(scope="module", params=[(100.0, 4), (5.0, 3)], ids=["100_hz", "commands_at_10_hz"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param((100.0, 4), marks=pytest.mark.long, id="100_hz"),
+        pytest.param((5.0, 3), id="commands_at_10_hz"),
+    ],
+)
 def motors(request: pytest.FixtureRequest) -> Motors:
     return Motors(*request.param)
 

@@ -72,7 +72,7 @@ def test_an_axis_without_manoeuvres_is_taken_from_geometry_with_its_width() -> N
 
 @pytest.mark.parametrize("flights", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_hovering_alone_tells_the_controller_and_not_what_the_motors_do(flights: int) -> None:
-    for flight in closed_loop(QUAD, 100.0, 122.0, flights, 1, brisk=0.0):
+    for flight in closed_loop(QUAD, 100.0, 62.0, flights, 1, brisk=0.0):
         fit, uncertainty = identify_multirotor([flight], 100.0)
         assert not uncertainty.told(fit, np.sign(QUAD.effects()))[:2].any()
         assert not uncertainty.told(fit, None)[:2].any()
