@@ -1,5 +1,6 @@
 """Profiles that several test modules share, made once per session, and the order of the files."""
 
+import contextlib
 import fcntl
 import gc
 import os
@@ -146,6 +147,15 @@ def arm_profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
     from replay.demonstration.arm_profile import write_arm_profile
 
     return read_profile(made_once(tmp_path_factory, "arm", write_arm_profile))
+
+
+@contextlib.contextmanager
+def plain_fits() -> Iterator[None]:
+    """Fit without measuring what a profile will detect and without drawing its comparison: few tests need them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
+        patch.setattr("replay.fit.draw_comparison", lambda *_: None)
+        yield
 
 
 @pytest.fixture(scope="session")

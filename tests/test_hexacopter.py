@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import plain_fits
 from hexacopter import hexacopter_flight
 
 from adapters.logs.recordings import packed
@@ -23,9 +24,7 @@ pytestmark = pytest.mark.long
 def profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
     folder = tmp_path_factory.mktemp("hexa") / "hexa"
     first, second = (list(hexacopter_flight(seed, 60.0)) for seed in (1, 2))
-    with pytest.MonkeyPatch.context() as patch:
-        # what a profile will detect is measured in other tests
-        patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
+    with plain_fits():
         fit_profile("multirotor", [lambda: packed(first), lambda: packed(second)], folder, "hexa")
     return read_profile(folder)
 
@@ -48,8 +47,7 @@ def test_a_failing_motor_is_named_at_the_rates_of_logs_and_radios(
     tmp_path: Path, every: dict[str, int], lost: float, within_s: float
 ) -> None:
     flights = [list(at_rates(hexacopter_flight(seed, 120.0), **every)) for seed in (1, 2)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
+    with plain_fits():
         report = fit_profile("multirotor", [partial(packed, flight) for flight in flights], tmp_path / "hexa", "hexa")
     assert "hexa x (from the motion)" in "\n".join(report.text())
     slow = read_profile(tmp_path / "hexa")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import plain_fits
 from simulated_chain import Fault, flight
 
 from adapters.errors import ModelError, TelemetryError
@@ -36,11 +37,10 @@ def flown_at_10_hz() -> list[Message]:
 
 
 def fit(logs: list[list[Message]], folder: Path) -> FitReport:
-    with pytest.MonkeyPatch.context() as patch:
-        # what a profile will detect is measured, its comparison drawn, and the trim fitted in other tests
-        patch.setattr("replay.fit.draw_comparison", lambda *_: None)
+    with plain_fits(), pytest.MonkeyPatch.context() as patch:
+        # the trim is fitted in other tests
         patch.setattr("monitor.vehicles.multirotor.fit.fit_trim", lambda *_: None)
-        return fit_profile("multirotor", [partial(packed, log) for log in logs], folder, "quad", capability=False)
+        return fit_profile("multirotor", [partial(packed, log) for log in logs], folder, "quad")
 
 
 @pytest.fixture(scope="module")

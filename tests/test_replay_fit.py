@@ -7,6 +7,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from conftest import plain_fits
 
 import fauio
 from adapters.logs.recordings import packed, read_recording
@@ -48,12 +49,11 @@ def test_where_nothing_tells_what_the_motors_do_the_sensors_are_watched(
         if message.name != "SERVO_OUTPUT_RAW" or next(commands) % 50 == 0
     ]
     monkeypatch.setattr("monitor.vehicles.multirotor.fit.choose_frame", lambda *_: None)
-    # what a profile will detect is measured in other tests
-    monkeypatch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
     still = {"SERVO_OUTPUT_RAW": {f"servo{n}_raw": 1000 for n in range(1, 5)}}
     ground = [replace(m, fields={**m.fields, **still.get(m.name, {})}) for m in slow]
     logs = [lambda: packed(slow), lambda: packed(ground)]
-    report = fit_profile("multirotor", logs, tmp_path / "quad", "quad", log_names=("flight", "ground"))
+    with plain_fits():
+        report = fit_profile("multirotor", logs, tmp_path / "quad", "quad", log_names=("flight", "ground"))
     assert report.warnings[0] == "left out, as no motor or servo moves as in flight while armed: ground"
     assert [one.name for one in read_profile(tmp_path / "quad").observers] == ["inertial"]
     (line,) = (line for line in report.text() if line.startswith("not fitted: "))

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
+from conftest import plain_fits
 
 import fauio
 from adapters.logs.mcap_log import MessageLogWriter
@@ -23,7 +24,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory, data: Path) -> Path:
     """Fit a profile with the command a user types."""
     folder = tmp_path_factory.mktemp("fit") / "rover"
     log = str(data / "rover_healthy_manual.tlog.xz")
-    assert fauio.main(["fit", "--vehicle", "rover", log, "-o", str(folder)]) == 0
+    with plain_fits():
+        assert fauio.main(["fit", "--vehicle", "rover", log, "-o", str(folder)]) == 0
     return folder
 
 
