@@ -20,7 +20,7 @@ from gains.synthesis.gains_file import Gains
 PLANTS = {
     "arm": replace(builtin_model("arm-disturbed"), c=np.array([0.1, -0.2, 0.3, -0.4])),
     "delays": replace(random_plant(21, 1, 1, nonlinear=2), taps=(0.2, 0.5, -0.1, 0.4)),
-    "actuators": random_plant(22, 2, 0, nonlinear=1),
+    "actuators": random_plant(22, 2, 0),
     "sensors": random_plant(23, 0, 2),
     "multirotor": multirotor(),
     "ramping": replace(random_plant(24, 2, 1, nonlinear=1), taps=(0.5, 0.3, 0.2)),

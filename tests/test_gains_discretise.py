@@ -83,7 +83,11 @@ def swung(plant: Plant, rate_hz: float, seconds: float, steps: int = 40) -> tupl
 
 @pytest.mark.parametrize(
     ("rate", "held", "middle"),
-    [(10.0, 0.060, 0.013), pytest.param(20.0, 0.095, 0.007, marks=pytest.mark.long), (100.0, 0.024, 4e-4)],
+    [
+        (10.0, 0.060, 0.013),
+        pytest.param(20.0, 0.095, 0.007, marks=pytest.mark.long),
+        pytest.param(100.0, 0.024, 4e-4, marks=pytest.mark.long),
+    ],
 )
 def test_nonlinearities_in_the_middle_of_a_sample_follow_the_true_arm(rate: float, held: float, middle: float) -> None:
     arm = builtin_model("arm-disturbed")

@@ -51,6 +51,8 @@ def test_a_scale_of_the_disturbances_scales_the_floor() -> None:
     assert 0.0 < floor_sqrt_mu(half).value < floor_sqrt_mu(plant).value
 
 
+# of plants with one sensor at fault the suite sees it wherever random plants are designed for
+@pytest.mark.long
 @settings(deadline=None, derandomize=True, max_examples=8)
 @given(st.integers(0, 10_000), st.integers(0, 2), st.integers(0, 1), st.integers(0, 1))
 def test_no_design_is_below_the_floor(seed: int, a1: int, a2: int, nonlinear: int) -> None:

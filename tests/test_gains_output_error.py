@@ -49,19 +49,19 @@ def model_of(folder: Path, text: str = TEXT) -> FreeModel:
 
 
 def recording(
-    model: FreeModel, *, seed: int = 0, delay: int = 0, amplitude: float = 1.0, rough: float = 2.0
+    model: FreeModel, *, count: int = 1200, delay: int = 0, amplitude: float = 1.0, rough: float = 2.0
 ) -> Segment:
-    rng = np.random.default_rng(seed)
-    t = np.arange(3000) / RATE_HZ
-    command = amplitude * (np.sin(0.9 * t + seed) + 0.6 * np.sin(4.0 * t) + 0.5 * np.sin(11.0 * t + 1.0))[:, None]
+    rng = np.random.default_rng(0)
+    t = np.arange(count) / RATE_HZ
+    command = amplitude * (np.sin(0.9 * t) + 0.6 * np.sin(4.0 * t) + 0.5 * np.sin(11.0 * t + 1.0))[:, None]
     late = np.vstack([np.repeat(command[:1], delay, axis=0), command[: len(command) - delay]])
     plant = model.plant([LAG, GAIN])
     stepper = Stepper([dynamics_of(plant)], RATE_HZ, "first")
-    x, y = np.zeros((1, 1, 2)), np.empty((3000, 2))
+    x, y = np.zeros((1, 1, 2)), np.empty((count, 2))
     drives = stepper.drives(late[None])
-    for k in range(3000):
+    for k in range(count):
         y[k] = x[0, 0] @ plant.C.T + rng.normal(size=2) * [0.02, 0.3]
-        if k < 2999:
+        if k < count - 1:
             x = stepper.step(x, drives[k] + np.array([0.0, rough / RATE_HZ]) * rng.normal())
     return Segment(command, y)
 
@@ -73,7 +73,7 @@ def fit_of(model: FreeModel, *recordings: Segment) -> OutputErrorFit:
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> OutputErrorFit:
     model = model_of(tmp_path_factory.mktemp("turret"))
-    return fit_of(model, recording(model, delay=4))
+    return fit_of(model, recording(model, count=3000, delay=4))
 
 
 def test_parameters_are_found_within_a_few_standard_errors(noisy: OutputErrorFit) -> None:

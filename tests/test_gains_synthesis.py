@@ -68,7 +68,7 @@ def test_the_arm_is_certified_from_10_hz_to_1_khz(name: str, rate: float) -> Non
         pytest.param(0.01, 0.141, marks=LONG),
         pytest.param(0.02, 0.141, marks=LONG),
         pytest.param(0.05, 0.141, marks=LONG),
-        (0.1, 0.150),
+        pytest.param(0.1, 0.150, marks=LONG),
     ],
 )
 def test_the_known_optima_of_the_disturbed_arm_are_reached_and_no_floor_undercut(period: float, known: float) -> None:
@@ -95,7 +95,7 @@ def test_integrators_of_order_2_are_certified_on_the_arm(name: str, rate: float)
     assert assert_proven(plant, design).norm >= floor_sqrt_mu(plant, rate, 2).value * (1.0 - 1e-9)
 
 
-@pytest.mark.parametrize("seed", some(range(6), 0, 1))
+@pytest.mark.parametrize("seed", some(range(6), 0))
 def test_integrators_of_order_2_are_certified_on_random_plants_in_very_different_units(seed: int) -> None:
     plant = random_plant(seed, 1 + seed % 2, 1, nonlinear=seed % 2, decades=3.0)
     design = design_convex(plant, integrator_order=2)
@@ -407,7 +407,7 @@ def discrete_start(design: Design, y: FloatArray) -> FloatArray:
     scope="module",
     params=[
         pytest.param(lambda: discretise(builtin_model("arm-disturbed"), 50.0), id="arm"),
-        pytest.param(lambda: random_plant(11, 1, 1), id="random"),
+        pytest.param(lambda: random_plant(11, 1, 1), id="random", marks=LONG),
         pytest.param(lambda: random_plant(12, 2, 1, nonlinear=2), id="nonlinear"),
     ],
 )
@@ -420,7 +420,7 @@ def designed(request: pytest.FixtureRequest) -> tuple[Plant, Design]:
 def test_the_simulated_energy_of_the_error_obeys_the_bound(designed: tuple[Plant, Design], kind: str) -> None:
     plant, design = designed
     rng = np.random.default_rng(5)
-    steps, q, a1 = 3000, len(plant.disturbances) + len(plant.noises), len(plant.actuator_faults)
+    steps, q, a1 = 1000, len(plant.disturbances) + len(plant.noises), len(plant.actuator_faults)
     if kind == "noise":
         w, df = rng.normal(size=(steps, q)), rng.normal(size=(steps, a1))
     elif kind == "steady":
@@ -442,7 +442,7 @@ def test_the_bound_is_nearly_attained_by_the_worst_steady_disturbance_of_the_arm
     assert error <= design.mu * into
 
 
-@pytest.mark.parametrize("radius", some([0.98, 0.9, 0.8], 0.98, 0.8))
+@pytest.mark.parametrize("radius", some([0.98, 0.9, 0.8], 0.8))
 def test_a_pole_radius_is_kept_at_every_vertex(radius: float) -> None:
     plant = builtin_model("arm-disturbed")
     design = design_convex(plant, 100.0, pole_radius=radius)
@@ -465,7 +465,7 @@ def h2_norms(plant: Plant, design: Design) -> list[float]:
 @pytest.mark.parametrize("order", [1, pytest.param(2, marks=LONG)])
 def test_the_share_of_h2_trades_the_one_certified_bound_for_the_other(order: int) -> None:
     plant = builtin_model("arm-disturbed")
-    designs = [design_convex(plant, 100.0, integrator_order=order, h2=share) for share in (0.0, 0.1, 0.5, 0.9, 1.0)]
+    designs = [design_convex(plant, 100.0, integrator_order=order, h2=share) for share in (0.0, 0.5, 1.0)]
     bounds = [assert_proven(plant, design).h2 for design in designs]
     norms = [max(h2_norms(plant, design)) for design in designs]
     assert all(norm <= bound for norm, bound in zip(norms, bounds, strict=True))
@@ -475,7 +475,7 @@ def test_the_share_of_h2_trades_the_one_certified_bound_for_the_other(order: int
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("seed", some(range(4), 0, 3))
+@pytest.mark.parametrize("seed", some(range(4), 0))
 def test_the_true_h2_norm_of_random_plants_is_within_its_bound(seed: int, share: float) -> None:
     plant = random_plant(seed, 1, seed % 2, nonlinear=seed % 3, decades=3.0 * (seed // 2))
     design = design_convex(plant, h2=share)
@@ -485,11 +485,10 @@ def test_the_true_h2_norm_of_random_plants_is_within_its_bound(seed: int, share:
 def test_faster_faults_are_followed_faster() -> None:
     plant = multirotor()
     fast = replace(plant, faults=tuple(replace(fault, rate=10.0) for fault in plant.faults))
-    slow_poles, fast_poles = (
-        np.sort(np.abs(np.linalg.eigvals(design.gains.N))) for design in (design_convex(plant), design_convex(fast))
-    )
-    assert np.max(fast_poles) < np.max(slow_poles)
-    assert np.max(np.abs(design_convex(fast).gains.L_i)) > np.max(np.abs(design_convex(plant).gains.L_i))
+    slow_gains, fast_gains = (design_convex(one).gains for one in (plant, fast))
+    slow_pole, fast_pole = (np.max(np.abs(np.linalg.eigvals(one.N))) for one in (slow_gains, fast_gains))
+    assert fast_pole < slow_pole
+    assert np.max(np.abs(fast_gains.L_i)) > np.max(np.abs(slow_gains.L_i))
 
 
 def test_an_infeasible_inequality_is_said_to_be_infeasible() -> None:
@@ -573,11 +572,11 @@ def test_a_point_a_little_inside_keeps_its_share_of_h2(monkeypatch: pytest.Monke
 def test_gains_that_no_certificate_confirms_are_never_returned(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gains.synthesis.convex, "certify", rejecting(100))
     with pytest.raises(InaccurateError, match="no gains it found could be certified") as caught:
-        design_convex(builtin_model("arm-disturbed"), 100.0)
+        design_convex(random_plant(8, 1, 1))
     assert caught.value.exit_status == 3
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", some(range(6), 0, 1))
 def test_where_the_solver_gives_up_a_filter_is_certified_by_the_same_proof(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
