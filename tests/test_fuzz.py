@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
 from fuzz_targets import TARGETS
 
-EXAMPLES = 20
-SLOW = {"cuts": 3, "model": 3, "pipeline-arm": 4, "pipeline-quad": 4, "profile": 6, "subscriber": 6}
+EXAMPLES = 12
+SLOW = {"cuts": 3, "model": 3, "pipeline-arm": 4, "pipeline-quad": 4, "profile": 4, "subscriber": 6}
 
 
 FOUND = {

@@ -6,6 +6,7 @@ import gzip
 import json
 import lzma
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,12 @@ def shipped() -> Profile:
     return read_profile(Path(fauio.__file__).parent / "replay" / "data" / "quad")
 
 
+@cache
+def played(flight: Path) -> Replay:
+    profile = shipped()
+    return play(profile, read_recording(flight, interests(profile)))
+
+
 def is_px4(log: str) -> bool:
     """Return whether a made-up log is one of PX4, which the shipped profile's vehicle does not fly with."""
     return not log.endswith(".bin")
@@ -57,10 +64,8 @@ def told(found: Replay) -> list[tuple[str, str, str, int]]:
 )
 def test_alarms_are_those_of_the_telemetry(logs: dict[str, Path], data: Path, log: str) -> None:
     profile = shipped()
-    wanted = interests(profile)
-    flight = data / f"copter_{log.partition('.')[0]}.tlog.xz"
-    telemetry = play(profile, read_recording(flight, wanted))
-    onboard = play(profile, read_recording(logs[log], wanted), force=is_px4(log))
+    telemetry = played(data / f"copter_{log.partition('.')[0]}.tlog.xz")
+    onboard = play(profile, read_recording(logs[log], interests(profile)), force=is_px4(log))
     assert telemetry.events
     assert told(onboard) == told(telemetry)
     assert onboard.evidence == telemetry.evidence
@@ -76,7 +81,7 @@ def boot_us(log: str) -> int:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_converted_log_holds_every_record_typed_and_replays_to_the_same_alarms(
+def test_a_converted_log_holds_every_record_typed(
     logs: dict[str, Path], tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, out = logs[f"motor2_080{kind}"], tmp_path / "flight.mcap"
@@ -91,9 +96,6 @@ def test_a_converted_log_holds_every_record_typed_and_replays_to_the_same_alarms
     assert summary is not None
     assert {schema.encoding for schema in summary.schemas.values()} == {"protobuf"}
     assert sorted(decoded) == sorted((f"/{m.source}/{m.name}", m.received_ns) for m in whole)
-    profile = shipped()
-    converted, original = (play(profile, read_recording(path), force=is_px4(log.name)) for path in (out, log))
-    assert converted.events == original.events
 
 
 @pytest.mark.parametrize("kind", KINDS)
