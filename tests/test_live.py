@@ -126,47 +126,34 @@ def test_subscribers_now_and_later_see_what_the_replay_says_and_the_recording_ha
     assert list(play(quad_profile, read_recording(live.record)).events) == events
 
 
-def test_a_killed_daemon_leaves_a_recording_that_lacks_at_most_a_second(
+def test_the_alarms_command_prints_json_lines_whatever_garbage_came_and_the_recording_survives_a_kill(
     live: Live, quad_profile: Profile, data: Path
 ) -> None:
+    command = [*FAUIO, "alarms", "--json", "--connect", live.endpoint]
+    printer = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     session = open_session(connect=[live.endpoint])
     try:
         subscriber = AlarmSubscriber(session)
         wait_for_monitor(subscriber)
-        send(live, data / "copter_motor3_090.tlog.xz", speed=4.0)
-        events = collect(subscriber, quiet_s=3.0)
-    finally:
-        session.close()
-    live.process.kill()
-    live.process.wait(10)
-    assert list(play(quad_profile, read_recording(live.record)).events) == events
-
-
-def test_the_alarms_command_prints_json_lines_whatever_garbage_came_and_ends_on_interrupt(
-    live: Live, data: Path
-) -> None:
-    command = [*FAUIO, "alarms", "--json", "--connect", live.endpoint]
-    printer = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    try:
-        session = open_session(connect=[live.endpoint])
-        try:
-            wait_for_monitor(AlarmSubscriber(session))
-        finally:
-            session.close()
         host, port = live.udp.split(":")
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as noise:
             for k in range(200):
                 noise.sendto(bytes((k * j) % 256 for j in range(k)), (host, int(port)))
         send(live, data / "copter_motor3_090.tlog.xz", speed=4.0)
+        events = collect(subscriber, quiet_s=3.0)
         assert printer.stdout is not None
         first = json.loads(printer.stdout.readline())
         assert (first["channel"], first["state"]) == ("motor3", "raised")
         printer.send_signal(signal.SIGINT)
         assert printer.wait(5) == 130
     finally:
+        session.close()
         printer.kill()
         printer.communicate()
     assert live.process.poll() is None
+    live.process.kill()
+    live.process.wait(10)
+    assert list(play(quad_profile, read_recording(live.record)).events) == events
 
 
 def test_a_start_that_fails_says_why_and_nothing_of_monitoring(

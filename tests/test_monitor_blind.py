@@ -20,8 +20,9 @@ from replay.player import play
 
 @pytest.fixture(scope="module")
 def flight(data: Path) -> list[Message]:
-    """Return 55 s of a healthy flight with all sensors."""
-    return list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    """Return 30 s of a healthy flight with all sensors."""
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    return [message for message in messages if message.received_ns - messages[0].received_ns < 30_000_000_000]
 
 
 def events_of(profile: Profile, messages: Sequence[Message], pipeline: Pipeline | None = None) -> list[AlarmEvent]:
@@ -56,12 +57,12 @@ def test_a_healthy_flight_is_watched_and_says_so(quad_profile: Profile, flight: 
 def test_a_gps_that_stops_is_named_within_seconds_and_clears_when_it_is_back(
     quad_profile: Profile, flight: list[Message]
 ) -> None:
-    raised, cleared = blind_of(quad_profile, without(flight, ["GPS_RAW_INT"], 20.0, 35.0))
+    raised, cleared = blind_of(quad_profile, without(flight, ["GPS_RAW_INT"], 10.0, 20.0))
     assert (raised.observer, raised.channel, raised.state, raised.severity) == ("monitor", "blind", "raised", "warning")
     assert raised.message == "the vehicle flies and is not watched: inertial: no GPS for 5 s"
-    assert 4.5 <= (raised.time_ns - flight[0].received_ns) / 1e9 - 20.0 <= 7.5
+    assert 4.5 <= (raised.time_ns - flight[0].received_ns) / 1e9 - 10.0 <= 7.5
     assert cleared.state == "cleared"
-    assert 35.0 <= (cleared.time_ns - flight[0].received_ns) / 1e9 <= 42.0
+    assert 20.0 <= (cleared.time_ns - flight[0].received_ns) / 1e9 <= 27.0
 
 
 def test_a_gps_that_goes_on_without_a_fix_is_lost(quad_profile: Profile, flight: list[Message]) -> None:
@@ -80,7 +81,7 @@ def test_a_gps_that_goes_on_without_a_fix_is_lost(quad_profile: Profile, flight:
     ]
     profile = replace(quad_profile, observers=tuple(observers))
     assert blind_of(profile, flight) == []
-    lost = {id(message) for message in flight} - {id(m) for m in without(flight, ["GPS_RAW_INT"], 20.0, 35.0)}
+    lost = {id(message) for message in flight} - {id(m) for m in without(flight, ["GPS_RAW_INT"], 10.0, 20.0)}
     unfixed = [replace(m, fields={**m.fields, "fix_type": 1}) if id(m) in lost else m for m in flight]
     raised, cleared = blind_of(profile, unfixed)
     assert "inertial: no GPS for 5 s" in raised.message
@@ -98,7 +99,7 @@ def test_motors_of_a_vehicle_on_its_wings_are_not_watched_and_its_sensors_are(
     profile = replace(quad_profile, observers=tuple(observers))
     first_ns = flight[0].received_ns
     states = [
-        replace(m, fields={**m.fields, "vtol_state": 4 if 20.0 <= (m.received_ns - first_ns) / 1e9 < 35.0 else 3})
+        replace(m, fields={**m.fields, "vtol_state": 4 if 10.0 <= (m.received_ns - first_ns) / 1e9 < 20.0 else 3})
         if m.name == "EXTENDED_SYS_STATE"
         else m
         for m in flight
@@ -108,7 +109,7 @@ def test_motors_of_a_vehicle_on_its_wings_are_not_watched_and_its_sensors_are(
         "the vehicle flies and is not watched: motors: flight that its rotors alone do not carry for 5 s"
     )
     assert (raised.channel, raised.severity, cleared.state) == ("blind", "warning", "cleared")
-    assert 35.0 <= (cleared.time_ns - first_ns) / 1e9 <= 42.0
+    assert 20.0 <= (cleared.time_ns - first_ns) / 1e9 <= 27.0
 
 
 def test_a_message_that_never_came_is_no_loss(quad_profile: Profile, flight: list[Message]) -> None:
@@ -116,7 +117,7 @@ def test_a_message_that_never_came_is_no_loss(quad_profile: Profile, flight: lis
 
 
 def test_it_is_critical_where_nothing_is_watched(quad_profile: Profile, flight: list[Message]) -> None:
-    first, *more = blind_of(quad_profile, without(flight, ["ATTITUDE"], 20.0))
+    first, *more = blind_of(quad_profile, without(flight, ["ATTITUDE"], 10.0))
     assert "no ATTITUDE for 5 s" in first.message
     assert {event.severity for event in (first, *more)} >= {"critical"}
 
@@ -142,7 +143,7 @@ def test_before_any_telemetry_nothing_is_expected(quad_profile: Profile, flight:
 
 
 def test_an_adopted_alarm_stays_until_there_is_evidence(quad_profile: Profile, flight: list[Message]) -> None:
-    adopted = blind_of(quad_profile, without(flight, ["GPS_RAW_INT"], 20.0))[0]
+    adopted = blind_of(quad_profile, without(flight, ["GPS_RAW_INT"], 10.0))[0]
     start = next(place for place, m in enumerate(flight) if m.received_ns > adopted.time_ns + LIMIT_NS)
     message = handover_message([adopted], adopted.seq, flight[start].received_ns)
     events = events_of(quad_profile, [message, *flight[start:]])
@@ -151,8 +152,8 @@ def test_an_adopted_alarm_stays_until_there_is_evidence(quad_profile: Profile, f
 
 
 def test_a_replay_says_how_long_what_was_not_watched(quad_profile: Profile, flight: list[Message]) -> None:
-    replay = play(quad_profile, without(flight, ["GPS_RAW_INT"], 20.0))
+    replay = play(quad_profile, without(flight, ["GPS_RAW_INT"], 10.0))
     [(why, seconds)] = replay.unwatched(flight[-1].received_ns)
     assert "no GPS for 5 s" in why
-    assert 25.0 < seconds < 31.0
+    assert 10.0 < seconds < 16.0
     assert play(quad_profile, flight).unwatched(flight[-1].received_ns) == []

@@ -29,7 +29,7 @@ def profile() -> Profile:
 @pytest.fixture(scope="module")
 def flight(data: Path) -> list[Message]:
     messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
-    return [message for message in messages if message.received_ns - messages[0].received_ns < 40_000_000_000]
+    return [message for message in messages if message.received_ns - messages[0].received_ns < 24_000_000_000]
 
 
 def forged(message: Message, behind_s: float, changes: Mapping[str, float]) -> Message:
