@@ -59,8 +59,7 @@ def test_the_undisturbed_paper_scenario_is_followed(arm_profile: Profile) -> Non
 
 
 def test_alarms_of_the_abrupt_case_come_and_go_with_the_faults(arm_profile: Profile) -> None:
-    run = simulate_arm(SCENARIOS["case2"], 45.0, 100.0)
-    events = play(arm_profile, arm_messages(run, 10**18)).events
+    events = play(arm_profile, arm_messages(simulated("case2"), 10**18)).events
     found = [
         (event.channel, event.state, round(event.vehicle_time_ms / 1000, 1))
         for event in events
@@ -78,5 +77,5 @@ def test_alarms_of_the_abrupt_case_come_and_go_with_the_faults(arm_profile: Prof
 
 def test_a_healthy_arm_raises_nothing_whatever_its_torque(arm_profile: Profile) -> None:
     for torque in ("zero", "tracking"):
-        run = simulate_arm(SCENARIOS["healthy"], 60.0, 100.0, torque)
+        run = simulate_arm(SCENARIOS["healthy"], 20.0, 100.0, torque)
         assert play(arm_profile, arm_messages(run, 10**18)).events == ()

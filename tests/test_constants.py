@@ -62,10 +62,8 @@ def of_module(path: Path) -> Iterator[Constant]:
     blank line is the reason of them all.
     """
     text = path.read_text()
-    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    comments = {token.start[0] for token in tokens if token.type == tokenize.COMMENT}
     lines = text.splitlines()
-    alone = {line for line in comments if lines[line - 1].startswith("#")}
+    alone = {number for number, line in enumerate(lines, 1) if line.startswith("#")}
     body = ast.parse(text).body
     covered_until = -1  # the last line that a comment above a run of assignments still covers
     for node, following in zip(body, [*body[1:], None], strict=True):
@@ -83,11 +81,19 @@ def of_module(path: Path) -> Iterator[Constant]:
         if not all(CONSTANT.fullmatch(name) for name in names):
             continue
         below = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
-        beside = any(line in comments for line in range(first, last + 1))
+        beside = has_comment(lines[first - 1 : last])
         used = {name.id for name in ast.walk(node.value) if isinstance(name, ast.Name) and CONSTANT.fullmatch(name.id)}
         computed = any(not SPEAKS_FOR_ITSELF.fullmatch(name) for name in used)
         named = computed or all(SPEAKS_FOR_ITSELF.fullmatch(name) for name in names)
         yield Constant(path, first, ", ".join(names), ast.unparse(node.value), below or beside or above or named)
+
+
+def has_comment(lines: list[str]) -> bool:
+    """Return whether there is a comment in the lines of a statement."""
+    if not any("#" in line for line in lines):
+        return False
+    tokens = tokenize.generate_tokens(io.StringIO("\n".join(lines)).readline)
+    return any(token.type == tokenize.COMMENT for token in tokens)
 
 
 def of_compiled_module(path: Path) -> Iterator[Constant]:

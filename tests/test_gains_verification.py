@@ -34,12 +34,11 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "options",
     [
-        ["arm-disturbed", "--rate", "100"],
         ["arm-disturbed", "--rate", "10", "--integrator-order", "2"],
         ["arm-disturbed", "--rate", "100", "--vertex-free"],
         ["arm-disturbed", "--rate", "100", "--continuous"],
         ["arm-disturbed", "--rate", "10", "--noise-once"],
-        ["arm-disturbed", "--rate", "100", "--continuous", "--noise-once"],
+        pytest.param(["arm-disturbed", "--rate", "100", "--continuous", "--noise-once"], marks=pytest.mark.long),
         ["arm", "--rate", "100", "--method", "theorem1"],
     ],
 )

@@ -44,7 +44,7 @@ def test_flights_tell_resistance_and_charge(fitted: Fitted) -> None:
 
 
 def test_a_resistance_that_doubles_is_an_alarm_that_says_what_is_left(profile: Profile) -> None:
-    raised, *_ = play(profile, quad(9, 60.0, Fault("battery", 0, 1.0, onset_s=20.0))).events
+    raised, *_ = play(profile, quad(9, 32.0, Fault("battery", 0, 1.0, onset_s=20.0))).events
     assert (raised.channel, raised.state) == ("battery", "raised")
     assert 0.0 < raised.vehicle_time_ms / 1000 - 25.0 < 10.0
     assert raised.relative is not None and 0.4 < raised.relative < 1.1
@@ -73,7 +73,7 @@ def test_cells_that_are_reported_more_often_than_the_battery_are_added_up(fitted
     assert of_cells.findings["ohm"] == pytest.approx(OHM, rel=0.05)
     assert of_cells.findings["rate_hz"] == fitted.findings["rate_hz"]
     profile = Profile("quad", "multirotor", 0, GATE, 2.0, (of_cells.profile(),), (), {}, "")
-    raised, *_ = play(profile, in_cells(quad(9, 45.0, Fault("battery", 0, 1.0, onset_s=20.0)))).events
+    raised, *_ = play(profile, in_cells(quad(9, 32.0, Fault("battery", 0, 1.0, onset_s=20.0)))).events
     assert (raised.channel, raised.state) == ("battery", "raised")
     assert "milliohms" in raised.message
 
@@ -91,7 +91,7 @@ def test_half_as_much_resistance_more_is_an_alarm_of_its_size(profile: Profile) 
 
 
 def test_a_battery_that_runs_down_is_no_fault(profile: Profile) -> None:
-    assert not play(profile, quad(11, 90.0, sag_v=2.5)).events
+    assert not play(profile, quad(11, 60.0, sag_v=2.5)).events
 
 
 def test_without_current_or_voltage_that_gives_way_there_is_no_observer() -> None:

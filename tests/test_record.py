@@ -126,16 +126,6 @@ def test_what_comes_over_zenoh_is_recorded_and_ctrl_c_is_told_from_the_end(tmp_p
     assert [one.fields["y"] for one in read_recording(out)] == [[float(k)] for k in range(20)]
 
 
-def test_a_recording_that_is_killed_holds_all_but_its_last_second(data: Path, tmp_path: Path) -> None:
-    [port] = free_ports(1, socket.SOCK_DGRAM)
-    out = tmp_path / "monday.mcap"
-    recording = Recording(out, "--mavlink", f"udpin:127.0.0.1:{port}")
-    with Flight(data / "copter_healthy_square.tlog.xz", [port], 0.0):
-        arrived(out, 500)
-        recording.end(signal.SIGKILL)
-    assert len(telemetry(out)) >= 500
-
-
 def test_a_full_disk_ends_it_with_a_line_and_what_was_recorded_stands(data: Path, tmp_path: Path) -> None:
     [port] = free_ports(1, socket.SOCK_DGRAM)
     out = tmp_path / "monday.mcap"
