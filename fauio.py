@@ -6,7 +6,7 @@ As a library, ``import fauio`` gives what ``__all__`` lists; ``docs/library.md``
 read_batches            the messages of a recording, as batches of columns
 read_recording          the same one by one
 read_profile, Profile   what is known of a vehicle: models, gains, channels, thresholds
-replay, Replay          look for faults in a recording
+replay, Replay          find faults in a recording
 Pipeline                the same for telemetry that is still coming; pack makes batches of messages
 fit, FitReport          learn a vehicle from recordings of healthy flights
 check, Check            which faults of a plant can be told apart
@@ -139,15 +139,15 @@ USAGE = 2
 EXAMPLE = "example: "
 
 _DESCRIPTION = (
-    "Fault and attack monitor for drones and ground vehicles: says which motor lost how much thrust, or how many "
-    "metres GPS has been pulled off course."
+    "Fault and attack monitor for drones and ground vehicles: it names the motor that lost thrust, and how much, or "
+    "how many metres GPS has been pulled off course."
 )
 _FIRST_STEPS = """\
 first steps:
   fauio demo copter                a recorded flight: no vehicle is needed
   fauio fit --vehicle multirotor monday.tlog tuesday.tlog -o quad/
-                                   learn your vehicle from healthy flights
-  fauio replay quad/ flight.tlog   look for faults in a recording
+                                   fit a profile to healthy flights
+  fauio replay quad/ flight.tlog   find faults in a recording
   fauio run quad/ --mavlink udpin:127.0.0.1:14550
                                    watch it live
   fauio alarms                     in another terminal: its active alarms
@@ -159,7 +159,7 @@ _GROUPS = {
     "this machine": ("demo", "doctor", "schema", "completion"),
 }
 _LAST_LINES = """\
-'fauio help COMMAND' says more about a command: options, defaults, an example.
+'fauio help COMMAND' shows the options, defaults and an example of a command.
 
 Exit status: 0 done, 1 something wrong found (review), 2 bad input or usage, 3 no feasible design, 4 alarms were
 raised (with --fail-on-alarm), 130 interrupted.

@@ -18,7 +18,7 @@ def add_parsers(subparsers: Any) -> None:
     """Add this package's commands to the command line."""
     simulate = subparsers.add_parser(
         "simulate",
-        help="a reference plant as a live source or a recording",
+        help="simulate a reference plant, live or into a recording",
         description="Simulate a plant.",
         epilog="example: fauio simulate arm -o arm.mcap --scenario case3",
     )
@@ -26,8 +26,8 @@ def add_parsers(subparsers: Any) -> None:
     arm = plants.add_parser(
         "arm",
         help="single-link flexible-joint arm",
-        description="Simulate the flexible-joint arm with faults of exactly known course (f_a on the torque, "
-        "f_s on the motor angle's sensor) and publish its telemetry as if live, or record it.",
+        description="Simulate the flexible-joint arm with known faults (f_a on the torque, f_s on the motor angle's "
+        "sensor) and publish its telemetry live, or record it.",
         epilog="example: fauio simulate arm --zenoh arm/telemetry --fault f_a:step:10:20:0.5 --duration 30",
     )
     target = arm.add_mutually_exclusive_group(required=True)
@@ -41,7 +41,9 @@ def add_parsers(subparsers: Any) -> None:
         help="Zenoh endpoints to connect to (default tcp/127.0.0.1:7447, where the daemon listens)",
     )
     arm.add_argument(
-        "--zenoh-config", metavar="FILE", help="Zenoh configuration with certificates or password; its endpoints count"
+        "--zenoh-config",
+        metavar="FILE",
+        help="Zenoh configuration with certificates or password; its endpoints are used",
     )
     arm.add_argument(
         "--scenario",
@@ -55,11 +57,13 @@ def add_parsers(subparsers: Any) -> None:
         metavar="CHANNEL:KIND:START:STOP:SIZE[:HZ]",
         help="add a fault: channel f_a or f_s; kind step, ramp or sine; times in seconds; may be repeated",
     )
-    arm.add_argument("--torque", choices=("zero", "tracking"), default="zero", help="none, or one that swings the link")
+    arm.add_argument(
+        "--torque", choices=("zero", "tracking"), default="zero", help="no torque, or a torque that swings the link"
+    )
     arm.add_argument("--duration", type=float, default=50.0, metavar="S", help="simulated seconds (default 50)")
     arm.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="samples per second (default 100)")
-    arm.add_argument("--speed", type=float, default=1.0, metavar="X", help="times real time (default 1)")
-    arm.add_argument("--json", action="store_true", help="print one JSON object that says what was done")
+    arm.add_argument("--speed", type=float, default=1.0, metavar="X", help="speed relative to real time (default 1)")
+    arm.add_argument("--json", action="store_true", help="print a summary as one JSON object")
     arm.set_defaults(handler=_simulate_arm)
 
 

@@ -90,19 +90,21 @@ def add_parsers(subparsers: Any) -> None:
         choices=["convex", *_THEOREMS, *_BASELINES, "all"],
         default="convex",
         metavar="METHOD",
-        help="synthesis: convex (the default); to compare with: theorem1 and theorem2, the paper's own inequalities; "
-        "gao2022, gao2016, chen2006 and zhang2008, reconstructions of earlier observers; ekf, a Kalman filter; or all "
-        "of them on one model",
+        help="synthesis: convex (the default); for comparison theorem1 and theorem2 (the paper's own inequalities), "
+        "gao2022, gao2016, chen2006 and zhang2008 (reconstructions of earlier observers), ekf (a Kalman filter), or "
+        "all of them",
     )
     parser.add_argument(
         "--rate",
         type=float,
         metavar="HZ",
-        help="samples per second: of a discrete design (what the model says, else "
-        f"{_RATE_HZ:g}); of a continuous design, to compile it for that rate (not compiled)",
+        help="samples per second of a discrete design (default: the model's, otherwise "
+        f"{_RATE_HZ:g}), or of compiling a continuous design (default: not compiled)",
     )
     parser.add_argument(
-        "--continuous", action="store_true", help="design in continuous time; with a rate it is compiled exactly for it"
+        "--continuous",
+        action="store_true",
+        help="design in continuous time; with --rate the design is compiled exactly for that rate",
     )
     parser.add_argument(
         "--decay-rates",
@@ -117,10 +119,12 @@ def add_parsers(subparsers: Any) -> None:
         "--fault-rate",
         type=float,
         metavar="PER_SECOND",
-        help="how fast the actuator faults may move: more follows faster (what the model says)",
+        help="how fast actuator faults may change: a larger rate follows faster (default: the model's)",
     )
     parser.add_argument(
-        "--faults", metavar="NAME,...", help="design for these of the model's faults alone, as one hypothesis of a bank"
+        "--faults",
+        metavar="NAME,...",
+        help="design for these faults of the model only, as for one hypothesis of a bank",
     )
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(handler=run_design)
@@ -135,27 +139,27 @@ def _add_convex_options(parser: argparse._ArgumentGroup) -> None:
         type=float,
         default=1.0,
         metavar="R",
-        help="largest size of a pole of the estimation error, in (0, 1]: less settles faster (1)",
+        help="largest absolute pole of the estimation error, in (0, 1]: a smaller one settles faster (1)",
     )
     parser.add_argument(
         "--integrator-order",
         type=int,
         choices=[1, 2],
         default=1,
-        help="2 follows ramping actuator faults without lag; their rates then are per second squared (1)",
+        help="2 follows ramps of actuator faults without lag; their rates are then per second squared (1)",
     )
     parser.add_argument(
         "--h2",
         type=float,
         default=0.0,
         metavar="ALPHA",
-        help="from 0, the best bound in the worst case, to 1, the least error under white noise (0)",
+        help="from 0, the best worst-case bound, to 1, the least error under white noise (0)",
     )
     parser.add_argument(
         "--gain-weight",
         type=float,
         metavar="RHO",
-        help="price of the gains against the bound: less follows harmless noise more closely (0.001)",
+        help="price of large gains: a smaller price lets the estimates follow harmless noise (0.001)",
     )
     parser.add_argument(
         "--gain-bound",
@@ -166,25 +170,25 @@ def _add_convex_options(parser: argparse._ArgumentGroup) -> None:
     parser.add_argument(
         "--vertex-free",
         action="store_true",
-        help="prove all slopes at once, in place of each combination of their bounds (where these are too many)",
+        help="prove all slopes at once instead of each combination of their bounds (default: if these are too many)",
     )
     parser.add_argument(
         "--published-inverse",
         action="store_true",
-        help="keep the pseudo-inverse of the paper for L1 and F, in place of finding them with the gains",
+        help="use the paper's pseudo-inverse for L1 and F instead of designing them with the gains",
     )
     parser.add_argument(
         "--noise-once",
         action="store_true",
-        help="bound the error against disturbances and noise alone, in place of these and their next (continuous: "
-        "their derivative) too, which counts noise twice",
+        help="bound the error against disturbances and noise only, without their next values (continuous: their "
+        "derivatives), which count noise twice",
     )
     parser.add_argument(
         "--common-p",
         type=Path,
         metavar="GAINS.json",
-        help="keep the Lyapunov matrix of an earlier design of this model and rate: either's gains may then take the "
-        "other's place while they run",
+        help="keep the Lyapunov matrix of an earlier design of this model and rate, so that the gains may be "
+        "exchanged at run time",
     )
 
 
@@ -269,12 +273,12 @@ def _compare(plant: Plant, args: argparse.Namespace) -> int:
 def _add_check(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "check",
-        help="say which faults of a plant model can be estimated with its sensors, and why not the others; or verify "
+        help="report which faults of a plant model its sensors can estimate, and why not the others; or verify "
         "the certificate of a gains file",
-        description="Say which of the declared faults can be estimated together with the declared sensors, which "
-        "cannot and why, and what would mend it. Exit status: 0 all of them together, 3 not all (the report is "
-        "printed nevertheless), 2 bad input. Of a gains file (.json) it verifies the certificate from the file alone, "
-        "in exact arithmetic, and says so in one line: exit status 0 it holds, 2 it does not.",
+        description="Report which of the declared faults can be estimated together with the declared sensors, which "
+        "cannot, why, and what would help. Exit status: 0 all of them together, 3 not all (the report is printed), "
+        "2 bad input. For a gains file (.json), verify the certificate from the file alone, in exact arithmetic. Exit "
+        "status: 0 it holds, 2 it does not.",
         epilog="example: fauio check arm\nexample: fauio check gains.json",
     )
     parser.add_argument(
@@ -282,7 +286,7 @@ def _add_check(subparsers: Any) -> None:
         metavar="MODEL.toml|GAINS.json",
         help="model file, or built in: arm, arm-disturbed; or gains, whose certificate is verified",
     )
-    parser.add_argument("--rate", type=float, metavar="HZ", help="look at a continuous model sampled at this rate")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="sample a continuous model at this rate")
     parser.add_argument("--json", action="store_true", help="print the findings as one JSON object")
     parser.set_defaults(handler=run_check)
 

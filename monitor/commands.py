@@ -34,30 +34,30 @@ def _add_record(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
     record = subparsers.add_parser(
         "record",
         help="record live telemetry, for a first fit",
-        description="Record a vehicle's telemetry as it comes, without a profile: a healthy flight to fit one to. All "
-        "senders on the link are recorded. Sends nothing to the vehicle unless the configuration allows it; with "
-        "[send] rates in it, asks for them. Ends on Ctrl-C, SIGTERM or after --seconds.",
+        description="Record a vehicle's telemetry without a profile, for instance a healthy flight for a fit. "
+        "All senders on the link are recorded. Sends nothing to the vehicle unless the configuration allows it; then "
+        "it requests the rates of [send]. Ends on Ctrl-C, SIGTERM or after --seconds.",
         epilog="example: fauio record --mavlink udpin:127.0.0.1:14550 -o monday.mcap",
     )
     _add_source(record)
-    record.add_argument("-o", "--out", type=Path, required=True, metavar="OUT.mcap", help="file to make")
+    record.add_argument("-o", "--out", type=Path, required=True, metavar="OUT.mcap", help="file to write")
     record.add_argument(
-        "--seconds", type=_seconds, metavar="S", help="end so long after the first message (default: Ctrl-C)"
+        "--seconds", type=_seconds, metavar="S", help="end this long after the first message (default: on Ctrl-C)"
     )
     record.add_argument(
         "--config", type=Path, metavar="FILE.toml", help="configuration: links, signing, message rates, Zenoh"
     )
     _add_endpoints(record)
-    record.add_argument("--json", action="store_true", help="print what was recorded as one JSON object")
+    record.add_argument("--json", action="store_true", help="print a summary as one JSON object")
     record.set_defaults(handler=run_record)
 
 
 def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     run = subparsers.add_parser(
         "run",
-        help="monitor a live vehicle: the daemon",
-        description="Listen to a vehicle's telemetry, estimate its faults, publish alarms on Zenoh. Sends nothing to "
-        "the vehicle unless the configuration allows it. Ends on SIGTERM or Ctrl-C; SIGHUP reloads.",
+        help="monitor a live vehicle (the daemon)",
+        description="Receive a vehicle's telemetry, estimate its faults, and publish alarms on Zenoh. Sends nothing to "
+        "the vehicle unless the configuration allows it. Ends on SIGTERM or Ctrl-C; SIGHUP reloads the configuration.",
         epilog="example: fauio run quad/ --mavlink udpin:127.0.0.1:14550 --record flight.mcap",
     )
     run.add_argument(
@@ -65,39 +65,39 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         type=Path,
         nargs="?",
         metavar="PROFILE",
-        help="profile folder, made by 'fauio fit'; may be left out where --config names profiles",
+        help="profile folder, made by 'fauio fit'; may be left out if --config names profiles",
     )
     _add_source(run)
     run.add_argument("--config", type=Path, metavar="FILE.toml", help="configuration; options given here override it")
     run.add_argument("--vehicle", metavar="NAME", help="name in topics (default: the profile's)")
     _add_endpoints(run)
     run.add_argument(
-        "--force", action="store_true", help="watch also a vehicle that says it is another than the profile's"
+        "--force", action="store_true", help="watch a vehicle even if it is another one than the profile's"
     )
-    run.add_argument("--prefix", metavar="KEY", help="what the keys begin with (fauio)")
+    run.add_argument("--prefix", metavar="KEY", help="first part of the Zenoh keys (fauio)")
     run.add_argument("--record", type=Path, metavar="OUT.mcap", help="record telemetry, estimates and alarms")
     run.add_argument(
         "--rerun",
         nargs="?",
         const="spawn",
         choices=["spawn", "serve"],
-        help="show it live in Rerun: start a viewer, or serve those that connect to a port of this machine",
+        help="show estimates live in Rerun: start a viewer, or serve viewers on a port of this machine",
     )
-    run.add_argument("--rerun-port", type=int, metavar="PORT", help="port that '--rerun serve' serves (9876)")
-    run.add_argument("--json", action="store_true", help="log lines on stderr as JSON, also on a terminal")
+    run.add_argument("--rerun-port", type=int, metavar="PORT", help="port of '--rerun serve' (9876)")
+    run.add_argument("--json", action="store_true", help="write log lines to stderr as JSON, on a terminal too")
     run.set_defaults(handler=run_run)
 
 
 def _add_notify(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "notify",
-        help="try the notifications of a configuration",
-        description="Send a test message to everything that [notify] of a configuration names, and say what became of "
-        "it. Exit status 2 where one was not delivered.",
+        help="send a test message to the services of a configuration",
+        description="Send a test message to all services and programs of [notify] in a configuration, and report "
+        "which were delivered. Exit status 2 if one was not.",
         epilog="example: fauio notify --config run.toml --test",
     )
     parser.add_argument("--config", type=Path, required=True, metavar="FILE.toml", help="configuration of the daemon")
-    parser.add_argument("--test", action="store_true", required=True, help="send it")
+    parser.add_argument("--test", action="store_true", required=True, help="send the test message")
     parser.set_defaults(handler=run_notify)
 
 
@@ -106,7 +106,7 @@ def _add_source(command: argparse.ArgumentParser) -> None:
     source.add_argument(
         "--mavlink",
         metavar="URL",
-        help="udpin:HOST:PORT (the vehicle sends to us), udpout:HOST:PORT, "
+        help="udpin:HOST:PORT (the vehicle sends to this address), udpout:HOST:PORT, "
         "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD",
     )
     source.add_argument("--zenoh", metavar="KEYEXPR", help="telemetry over Zenoh on these keys")

@@ -11,26 +11,26 @@ from adapters.command_line import finite, natural, positive, say, say_json, seve
 _KINDS = ("bias", "ramp", "scale", "freeze", "replay", "noise", "delay", "drop", "spoof", "loss")
 _LOG_HELP = "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind"
 _INJECT_TEXT = """\
-Put a fault or attack with exact truth onto a recording. Times are seconds of the vehicle's own clock since its first
-stamp in the log (--at-ms: that clock itself); measurements are altered by their stamp, whenever they arrived. What was
-altered and when is in OUT.truth.json and in the metadata record 'truth'.
+Put a fault or attack of known size into a recording. Times are seconds of the vehicle's own clock since its first
+stamp in the log (--at-ms: that clock itself). Measurements are altered by their stamps, not by their arrival.
+OUT.truth.json and the metadata record 'truth' say what was altered, and when.
 
 kinds:
   bias    adds --size
   ramp    adds --rate per second, up to --size
   scale   multiplies by --size
-  noise   adds noise, --size one sigma
+  noise   adds noise with a standard deviation of --size
   freeze  holds the last value
   replay  repeats what was recorded from --from to the start
   delay   shows the value of --size seconds ago
-  drop    loses the messages (all in them), or a share --size
+  drop    loses the messages, or a share --size of them
   spoof   moves GPS position and velocity together: up to --rate m/s, with
           at most --accel m/s^2
   loss    an actuator of --profile delivers a share --size less, at once or
-          growing by --rate per second. An autopilot holds the vehicle: its
-          command grows until the motor delivers what it did, and the motion
-          stays as recorded; where full command is not enough, and for other
-          plants, the plant's linear answer is added to the measurements
+          growing by --rate per second. The autopilot compensates: its command
+          grows until the motor delivers the same thrust, and the motion stays
+          as recorded. If full command is not enough, and for other plants, the
+          plant's linear response is added to the measurements
 
 channels:
   gps_north gps_east gps_down (m), gps_velocity_north gps_velocity_east
@@ -50,12 +50,12 @@ def add_parsers(subparsers: Any) -> None:
 def _add_inject(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "inject",
-        help="put a fault or attack with exact truth onto a recording",
+        help="put a fault or attack of known size into a recording",
         description=_INJECT_TEXT,
         epilog="example: fauio inject flight.tlog --channel baro --kind bias --size 8 --start 30 -o out.mcap",
     )
     parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
-    parser.add_argument("--channel", required=True, metavar="NAME", help="what is attacked (see above)")
+    parser.add_argument("--channel", required=True, metavar="NAME", help="channel to alter (see above)")
     parser.add_argument("--kind", required=True, metavar="KIND", help=", ".join(_KINDS))
     begin = parser.add_mutually_exclusive_group(required=True)
     begin.add_argument("--start", type=float, metavar="S", help="begin, seconds since the log's first stamp")
@@ -67,16 +67,16 @@ def _add_inject(subparsers: Any) -> None:
         "--size",
         type=float,
         metavar="X",
-        help="how large, in the channel's unit (see above); of a delay: seconds; of a loss: a share",
+        help="size in the channel's unit (see above); seconds for a delay; a share for a loss",
     )
     parser.add_argument(
-        "--rate", type=float, metavar="X", help="how fast it grows, channel's unit per second; of a spoof: m/s"
+        "--rate", type=float, metavar="X", help="growth in the channel's unit per second; m/s for a spoof"
     )
     parser.add_argument("--accel", type=float, metavar="X", help="largest acceleration of a spoof, m/s^2 (0.5)")
     parser.add_argument(
-        "--from", type=float, metavar="S", dest="source", help="begin of the segment replayed, seconds as --start"
+        "--from", type=float, metavar="S", dest="source", help="begin of the replayed segment (seconds, as --start)"
     )
-    parser.add_argument("--seed", type=natural, default=0, metavar="N", help="of noise and lost messages (0)")
+    parser.add_argument("--seed", type=natural, default=0, metavar="N", help="seed of noise and lost messages (0)")
     parser.add_argument("--system", type=natural, default=0, metavar="N", help="MAVLink system (default: first sender)")
     parser.add_argument("--profile", type=Path, metavar="PROFILE", help="profile folder with the vehicle's model")
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="OUT.mcap", help="file to write")
@@ -87,10 +87,10 @@ def _add_inject(subparsers: Any) -> None:
 def _add_detectability(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "detectability",
-        help="what size of fault is seen how fast on a vehicle of yours",
-        description="Inject faults of several kinds and sizes at several times of a healthy recording, run each "
-        "through the monitor, and say how many are missed, how fast the others are seen, and what else raised. "
-        "A loss is injected by the profile's own model: what the model gets wrong does not show.",
+        help="measure which size of fault is detected, and how fast",
+        description="Put faults of several kinds and sizes into a healthy recording at several times, run the monitor "
+        "on each, and report how many are missed, how fast the others are detected, and which other alarms are raised. "
+        "A loss is injected by the profile's own model, so errors of the model do not show.",
         epilog="example: fauio detectability quad/ healthy.tlog --channel motor1 --sizes 0.02,0.1",
     )
     parser.add_argument("profile", type=Path, metavar="PROFILE", help="profile folder")
@@ -111,14 +111,18 @@ def _add_detectability(subparsers: Any) -> None:
         "--sizes",
         type=lambda text: tuple(map(finite, several(text))),
         metavar="X,X",
-        help="sizes in the channel's unit; of ramp and spoof: rates, per second (default: around the threshold)",
+        help="sizes in the channel's unit; rates per second for ramp and spoof (default: around the threshold)",
     )
-    parser.add_argument("--onsets", type=positive, default=5, metavar="N", help="times of onset for each (5)")
+    parser.add_argument("--onsets", type=positive, default=5, metavar="N", help="number of onsets for each size (5)")
     parser.add_argument(
         "--before", type=float, default=10.0, metavar="S", help="healthy flight before each onset, seconds (10)"
     )
     parser.add_argument(
-        "--after", type=float, default=10.0, metavar="S", help="what is not seen within these seconds is missed (10)"
+        "--after",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help="a fault not detected within these seconds is missed (10)",
     )
     parser.add_argument("--jobs", type=positive, default=1, metavar="N", help="processes (1)")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot delay and miss rate against size")

@@ -42,9 +42,9 @@ def add_parsers(subparsers: Any) -> None:
 def _add_demo(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "demo",
-        help="simulator or recorded flight, MAVLink, monitor, alarms on Zenoh",
-        description="Run a monitor, feed it over real MAVLink UDP, subscribe to its alarms over real Zenoh, and "
-        "leave a recording, a Rerun file and a plot.",
+        help="a demonstration: simulator or recorded flight, monitor, alarms",
+        description="Run a monitor with telemetry over MAVLink UDP, subscribe to its alarms over Zenoh, and "
+        "write a recording, a Rerun file and a plot.",
         epilog="example: fauio demo copter --out /tmp/demo",
     )
     parser.add_argument(
@@ -57,10 +57,10 @@ def _add_demo(subparsers: Any) -> None:
         "--speed",
         type=float,
         metavar="X",
-        help="times real time (default: 2 for the arm, 4 for the copter; 1 with --console)",
+        help="speed relative to real time (default: 2 for the arm, 4 for the copter; 1 with --console)",
     )
     parser.add_argument(
-        "--console", action="store_true", help="show it as a web page, until Ctrl-C; a browser opens where there is one"
+        "--console", action="store_true", help="show it as a web page until Ctrl-C, and open a browser if there is one"
     )
     parser.set_defaults(handler=run_demo)
 
@@ -68,7 +68,7 @@ def _add_demo(subparsers: Any) -> None:
 def _add_fit(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "fit",
-        help="learn a vehicle from healthy recordings: model, certified gains, thresholds",
+        help="fit a profile to healthy recordings: model, certified gains, thresholds",
         description="Identify a vehicle from healthy flights, design its observer, and calibrate its alarms.",
         epilog="example: fauio fit --vehicle multirotor monday.tlog tuesday.tlog -o quad/\n"
         "example: fauio fit --update quad/ wednesday.tlog\n"
@@ -79,26 +79,33 @@ def _add_fit(subparsers: Any) -> None:
         "--update",
         type=Path,
         metavar="PROFILE",
-        help="learn more flights of this profile's vehicle, beside those that it keeps; edits of profile.toml stay",
+        help="add flights to those that this profile keeps, and fit again; edits of profile.toml are kept",
     )
     parser.add_argument("--model", type=Path, metavar="MODEL.toml", help="model with free parameters (custom only)")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=LOG_HELP)
     parser.add_argument(
-        "-o", "--out", type=Path, metavar="PROFILE", help="profile folder to write (default with --update: that one)"
+        "-o",
+        "--out",
+        type=Path,
+        metavar="PROFILE",
+        help="profile folder to write (default with --update: that profile)",
     )
     parser.add_argument(
-        "--start", type=float, default=0.0, metavar="S", help="leave out what is sooner than S seconds into each log"
+        "--start", type=float, default=0.0, metavar="S", help="leave out the first S seconds of each log"
     )
-    parser.add_argument("--end", type=float, metavar="S", help="leave out what is later than S seconds into each log")
+    parser.add_argument("--end", type=float, metavar="S", help="leave out each log after its first S seconds")
     parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="samples per second of the observer (default: as the messages come)"
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="samples per second of the observer (default: the rate of the messages)",
     )
     parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=MAPPING_HELP)
     parser.add_argument("--name", metavar="NAME", help="name of the vehicle in topics (default: the folder's name)")
     parser.add_argument(
         "--force",
         action="store_true",
-        help="go on where a log says it is of another kind of vehicle, or of another vehicle than the first",
+        help="fit even if a log is of another kind of vehicle, or of another vehicle than the first log",
     )
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
     parser.set_defaults(handler=run_fit)
@@ -120,9 +127,9 @@ def _add_convert(subparsers: Any) -> None:
 def _add_info(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "info",
-        help="what is in a recording, profile, model or gains file",
-        description="Say what is in a recording (vehicles, messages, what could be watched with them, alarms, damage), "
-        "a profile, a model or a gains file.",
+        help="show what a recording, profile, model or gains file contains",
+        description="Show what a recording contains (vehicles, messages, what they allow to watch, alarms, damage), "
+        "or a profile, a model or a gains file.",
         epilog="example: fauio info flight.tlog",
     )
     parser.add_argument("file", type=Path, metavar="FILE", help="recording, profile folder, MODEL.toml or GAINS.json")

@@ -24,10 +24,10 @@ NOBODY_AFTER_S = 1.0
 """Chosen: a monitor on the network is discovered well before, and a person waits that long without a word."""
 
 _VERBS = {
-    "ack": "say that you know of an alarm",
+    "ack": "confirm that you have seen an alarm",
     "shelve": "keep an alarm silent for a while",
     "unshelve": "end the shelving of an alarm",
-    "reset": "end an alarm; its observer begins anew",
+    "reset": "end an alarm and restart its observer",
 }
 
 
@@ -36,15 +36,15 @@ def add_alarms(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     alarms = subparsers.add_parser(
         "alarms",
         help="watch alarms as they happen; acknowledge, shelve, reset them",
-        description="On a terminal a live table of the active alarms, with keys to acknowledge and shelve them; in a "
-        "pipe one JSON object per event, the current state of every alarm first.",
+        description="Show a live table of the active alarms, with keys to acknowledge and shelve them. In a pipe, "
+        "print one JSON object per event, the current state of every alarm first.",
         epilog="example: fauio alarms --history",
     )
     _add_where(alarms, vehicle="only this vehicle (default: all)")
-    alarms.add_argument("--history", action="store_true", help="begin with past events the monitor still knows")
-    alarms.add_argument("--json", action="store_true", help="JSON lines, also on a terminal")
+    alarms.add_argument("--history", action="store_true", help="begin with the past events in the monitor's journal")
+    alarms.add_argument("--json", action="store_true", help="print JSON lines, on a terminal too")
     alarms.add_argument(
-        "--for", dest="seconds", metavar="S", type=float, help="stop after this time, seconds (default: never)"
+        "--for", dest="seconds", metavar="S", type=float, help="stop after this many seconds (default: never)"
     )
     alarms.set_defaults(handler=run_alarms)
     commands = alarms.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
@@ -58,13 +58,13 @@ def add_alarms(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         command.add_argument("target", metavar="ID|CHANNEL", help="the alarm: its id, motors/motor1, or motor1")
         if verb == "shelve":
             command.add_argument(
-                "--minutes", type=float, metavar="N", help="for how long, minutes (default: the monitor's)"
+                "--minutes", type=float, metavar="N", help="minutes to shelve (default: the monitor's setting)"
             )
-        command.add_argument("--reason", metavar="TEXT", help="why, for the journal")
-        command.add_argument("--by", metavar="NAME", help="who, for the journal (default: your user name)")
-        command.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="the reply as JSON")
+        command.add_argument("--reason", metavar="TEXT", help="reason, kept in the journal")
+        command.add_argument("--by", metavar="NAME", help="operator, kept in the journal (default: your user name)")
+        command.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print the reply as JSON")
         # also before the command: what is not given here must not undo what was given there
-        _add_where(command, vehicle="the vehicle (default: whose alarm it is)", default=argparse.SUPPRESS)
+        _add_where(command, vehicle="vehicle of the alarm (default: found by the alarm)", default=argparse.SUPPRESS)
         command.set_defaults(handler=run_command)
 
 
@@ -72,7 +72,7 @@ def add_schema(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add ``fauio schema``."""
     schema = subparsers.add_parser(
         "schema",
-        help="print the JSON Schema of what is published",
+        help="print the JSON Schemas of published payloads",
         description="Print the JSON Schema of one kind of payload; without a name, all of them by name.",
         epilog="example: fauio schema alarm",
     )
@@ -104,10 +104,10 @@ def add_endpoints(parser: argparse.ArgumentParser, default: str | None = None) -
         type=Path,
         metavar="FILE",
         default=default,
-        help="Zenoh configuration with certificates or password, for a secured monitor; its endpoints count",
+        help="Zenoh configuration with certificates or password, for a secured monitor; its endpoints are used",
     )
     parser.add_argument(
-        "--prefix", metavar="KEY", default=default or "fauio", help="what the keys begin with (default: fauio)"
+        "--prefix", metavar="KEY", default=default or "fauio", help="first part of the Zenoh keys (default: fauio)"
     )
 
 

@@ -20,9 +20,9 @@ def add_completion(subparsers: Any, parser: argparse.ArgumentParser) -> None:
     command = subparsers.add_parser(
         "completion",
         help="print a script that completes commands, options and files in a shell",
-        description="Print a completion script, for bash to be kept as "
-        "~/.local/share/bash-completion/completions/fauio. The shell reads it alone, without starting fauio: print it "
-        "again after an update.",
+        description="Print a completion script; for bash keep it as "
+        "~/.local/share/bash-completion/completions/fauio. The script does not start fauio, so print it again after an "
+        "update.",
         epilog="example: fauio completion bash",
     )
     command.add_argument("shell", choices=SHELLS, help="shell that reads it")

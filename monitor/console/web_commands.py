@@ -21,9 +21,9 @@ def add_console(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
     """Add the command."""
     console = subparsers.add_parser(
         "console",
-        help="a web page of all vehicles: alarms, estimates, map, link",
-        description="Serve a web page of every monitor that is heard over Zenoh: alarms, estimates against thresholds, "
-        "link, track. Only reads, unless --commands is given. Ends on Ctrl-C or SIGTERM.",
+        help="serve a web page of all vehicles: alarms, estimates, map, link",
+        description="Serve a web page of all monitors that are reached over Zenoh: alarms, estimates with thresholds, "
+        "link, track. The page only reads unless --commands is given. Ends on Ctrl-C or SIGTERM.",
         epilog="example: fauio console --commands --clips clips/",
     )
     add_endpoints(console)
@@ -33,18 +33,20 @@ def add_console(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
     console.add_argument(
         "--commands",
         action="store_true",
-        help="let the page acknowledge, shelve and close alarms that their monitor's configuration lets it",
+        help="let the page acknowledge, shelve and close alarms, if the monitor's configuration allows it",
     )
     console.add_argument(
         "--token-file",
         type=Path,
         metavar="FILE",
-        help="file with the token that the page asks for; needed where --listen is not this machine's loopback",
+        help="file with the token that the page asks for; required unless --listen is on loopback",
     )
     console.add_argument(
-        "--host", metavar="NAME", action="append", default=[], help="name that the page is reached by, beside addresses"
+        "--host", metavar="NAME", action="append", default=[], help="host name under which browsers reach the page"
     )
-    console.add_argument("--clips", type=Path, metavar="FOLDER", help="folder of alarms' clips, to be downloaded")
+    console.add_argument(
+        "--clips", type=Path, metavar="FOLDER", help="folder of alarms' clips that the page offers for download"
+    )
     console.set_defaults(handler=run_console)
 
 

@@ -40,13 +40,13 @@ def add_doctor(subparsers: Any) -> None:
     """Add the command to the command line."""
     parser = subparsers.add_parser(
         "doctor",
-        help="will a monitor run here: ports, permissions, Zenoh, clock, versions",
-        description="Check ports, permissions, Zenoh, clock, disk, receive buffers and versions, and say what to do. "
-        "Exit status: 0; 2 where a check failed.",
+        help="check whether a monitor can run here: ports, permissions, Zenoh, clock, versions",
+        description="Check ports, permissions, Zenoh, clock, disk, receive buffers and versions, and report remedies. "
+        "Exit status: 0 no check failed, 2 a check failed.",
         epilog="example: fauio doctor --mavlink udpin:127.0.0.1:14550 --folder recordings/",
     )
     parser.add_argument("profile", type=Path, nargs="?", metavar="PROFILE", help="profile folder, as for 'fauio run'")
-    parser.add_argument("--config", type=Path, metavar="FILE.toml", help="check what this configuration needs")
+    parser.add_argument("--config", type=Path, metavar="FILE.toml", help="check what this configuration uses")
     parser.add_argument(
         "--listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint to listen on (tcp/127.0.0.1:7447)"
     )
@@ -54,7 +54,7 @@ def add_doctor(subparsers: Any) -> None:
         "--mavlink", metavar="URL", action="append", help="MAVLink link to listen on (udpin:127.0.0.1:14550)"
     )
     parser.add_argument(
-        "--folder", metavar="DIR", type=Path, action="append", help="folder to write to (the present one)"
+        "--folder", metavar="DIR", type=Path, action="append", help="folder to write to (the current folder)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(handler=run_doctor)

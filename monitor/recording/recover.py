@@ -68,13 +68,13 @@ def add_recover(subparsers: Any) -> None:
     """Add the command."""
     parser = subparsers.add_parser(
         "recover",
-        help="finish recordings that a crash or a power cut left without an index",
-        description="Give unfinished MCAP files their index and end, in place; no message in them is lost. 'fauio run' "
-        "does it with its own folders when it starts. Files that are being written are left alone.",
+        help="finish recordings that a crash or a power cut left unfinished",
+        description="Add the missing index and end to unfinished MCAP files, in place; no message in them is lost. "
+        "'fauio run' does the same with its own folders when it starts. Files that are being written are not changed.",
         epilog="example: fauio recover recordings/",
     )
     parser.add_argument("place", type=Path, metavar="FILE|FOLDER", help="MCAP file, or folder with such files below it")
-    parser.add_argument("--json", action="store_true", help="print what was done as one JSON object")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(handler=run_recover)
 
 

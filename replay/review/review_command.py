@@ -21,20 +21,20 @@ def add_review(subparsers: Any) -> None:
     """Add the command to the command line."""
     parser = subparsers.add_parser(
         "review",
-        help="what happened in a log: no profile is needed",
-        description="Say what happened in a log: the first thing that stopped following (commands the decision, motors "
-        "the commands, motion the motors, the estimator the motion), its evidence, what speaks against other causes, "
-        "and what could not be judged. Exit status: 0 nothing wrong found, 1 something was found, 2 bad input.",
+        help="find out what happened in a log, without a profile",
+        description="Report what happened in a log: the first thing that stopped following (commands the decision, "
+        "motors the commands, motion the motors, the estimator the motion), its evidence, evidence against other "
+        "causes, and what could not be judged. Exit status: 0 nothing wrong found, 1 something was found, 2 bad input.",
         epilog="example: fauio review --quick healthy.tlog --report healthy.html",
     )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=LOG_HELP)
     parser.add_argument(
-        "--report", metavar="OUT.html", help="write a page with the evidence drawn; of several logs, into a folder"
+        "--report", metavar="OUT.html", help="write a page with charts of the evidence; for several logs a folder"
     )
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="judge by rules alone: do not learn the vehicle from the flight's first 40 s",
+        help="use the rules only: do not learn the vehicle from the first 40 s of the flight",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per log")
     parser.set_defaults(handler=run_review)

@@ -27,7 +27,7 @@ LOG_HELP = (
     "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind, "
     "or a folder of a recorded session"
 )
-MAPPING_HELP = "from which records of a .ulg or .bin MAVLink messages are made, where the guess is wrong"
+MAPPING_HELP = "how records of a .ulg or .bin become MAVLink messages, if the default is wrong"
 _FILE_OR_FOLDER = "; for several logs a folder, or a name with {log} in it"
 
 
@@ -36,9 +36,9 @@ def add_replay(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "replay",
         help="run recordings through a profile's monitor",
-        description="Run recordings through the very pipeline that runs live, and list the alarms, a line each. Exit "
-        "status: 0; 2 where a log could not be replayed, the others are nevertheless; with --fail-on-alarm 4 where an "
-        "alarm was raised, whatever became of other logs; 130 interrupted.",
+        description="Run recordings through the pipeline of the live monitor, and print a line for each alarm. Exit "
+        "status: 0 all logs were replayed, 2 a log could not be replayed, 4 an alarm was raised (with --fail-on-alarm, "
+        "even if a log failed), 130 interrupted.",
         epilog="example: fauio replay quad/ flight.tlog --report flight.html\n"
         "example: fauio replay quad/ flights/ --jobs 4 --table summary.csv",
     )
@@ -53,24 +53,26 @@ def add_replay(subparsers: Any) -> None:
         "--alarms",
         type=Path,
         metavar="OUT.jsonl",
-        help="write the alarm events as JSON lines; of several logs in their order, each with the key 'log'",
+        help="write the alarm events as JSON lines; for several logs in their order, each with the key 'log'",
     )
     parser.add_argument("--plot", metavar="OUT.png", help=f"plot estimates, thresholds and alarms{_FILE_OR_FOLDER}")
-    parser.add_argument("--dark", action="store_true", help="plot on a dark ground")
+    parser.add_argument("--dark", action="store_true", help="plot on a dark background")
     parser.add_argument(
-        "--report", metavar="OUT.html", help=f"write a page: what was found, how sure, not checked{_FILE_OR_FOLDER}"
+        "--report",
+        metavar="OUT.html",
+        help=f"write a page: alarms, their certainty, what was not checked{_FILE_OR_FOLDER}",
     )
     parser.add_argument("--rrd", metavar="OUT.rrd", help=f"write a Rerun recording{_FILE_OR_FOLDER}")
     parser.add_argument(
         "--table", type=Path, metavar="OUT.csv", help="write a table with a row for each log; .csv or .parquet"
     )
     parser.add_argument(
-        "--vehicle", metavar="NAME", help="name in events (default: as recorded by a monitor, else the profile's)"
+        "--vehicle", metavar="NAME", help="name in events (default: the recording's, otherwise the profile's)"
     )
     parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=MAPPING_HELP)
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--jobs", type=int, metavar="N", help="replay logs in N processes, 1 or more (default: in this one)"
+        "--jobs", type=int, metavar="N", help="replay logs in N processes, 1 or more (default: in this process)"
     )
     where.add_argument(
         "--dask",
@@ -79,9 +81,9 @@ def add_replay(subparsers: Any) -> None:
         "same paths",
     )
     parser.add_argument(
-        "--force", action="store_true", help="go on where a log says it is of another vehicle than the profile's"
+        "--force", action="store_true", help="replay a log even if it is of another vehicle than the profile's"
     )
-    parser.add_argument("--fail-on-alarm", action="store_true", help="exit with 4 where an alarm was raised")
+    parser.add_argument("--fail-on-alarm", action="store_true", help="exit with status 4 if an alarm was raised")
     parser.add_argument("--verbose", action="store_true", help="print every event too: raised, updated, cleared")
     parser.add_argument("--json", action="store_true", help="print one JSON object per log")
     live = parser.add_argument_group("as if live")
@@ -89,7 +91,7 @@ def add_replay(subparsers: Any) -> None:
         "--speed",
         type=float,
         metavar="X",
-        help="times real time, by the times of arrival (default: as fast as it goes)",
+        help="speed relative to real time, by the times of arrival (default: as fast as possible)",
     )
     live.add_argument("--publish", action="store_true", help="publish alarms, estimates and status as the daemon does")
     live.add_argument(
@@ -97,9 +99,11 @@ def add_replay(subparsers: Any) -> None:
     )
     live.add_argument("--connect", metavar="ENDPOINT", action="append", help="Zenoh endpoint to connect to")
     live.add_argument("--allow-public", action="store_true", help="let Zenoh listen beyond this machine")
-    live.add_argument("--prefix", metavar="KEY", default="fauio", help="what the keys begin with (fauio)")
+    live.add_argument("--prefix", metavar="KEY", default="fauio", help="first part of the Zenoh keys (fauio)")
     live.add_argument(
-        "--udp", metavar="URL", help="send the packets of a .tlog to udp:HOST:PORT, in real time without --speed"
+        "--udp",
+        metavar="URL",
+        help="send the packets of a .tlog to udp:HOST:PORT, in real time unless --speed is given",
     )
     parser.set_defaults(handler=run_replay)
 

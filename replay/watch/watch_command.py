@@ -21,16 +21,16 @@ def add_watch(subparsers: Any) -> None:
     """Add the command to the command line."""
     parser = subparsers.add_parser(
         "watch",
-        help="make a report of every log that comes into a folder",
-        description="Look at a folder every few seconds; replay each new or changed log through a profile's monitor, "
-        "or without a profile review it; write its report, and a page with a table of all logs "
-        f"({INDEX_FILE}). Goes on until it is interrupted; what was made is kept, so that it can be started again.",
+        help="write a report of every new log in a folder",
+        description="Look at a folder every few seconds. Replay each new or changed log with the profile, or review it "
+        "if no profile is given; write its report, and a page with a table of all logs "
+        f"({INDEX_FILE}). Runs until it is interrupted, and continues from its reports when it is started again.",
         epilog="example: fauio watch logs/ --profile quad/ -o reports/\nexample: fauio watch logs/ -o reports/ --once",
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder that logs come into, and folders below")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of new logs, with its subfolders")
     parser.add_argument("--profile", type=Path, metavar="PROFILE", help="profile folder (default: logs are reviewed)")
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="OUT", help="folder of the reports")
-    parser.add_argument("--once", action="store_true", help="read what is there and end")
+    parser.add_argument("--once", action="store_true", help="process the present logs and end")
     parser.add_argument("--json", action="store_true", help="print one JSON object per log")
     parser.set_defaults(handler=run_watch)
 

@@ -17,11 +17,11 @@ def add_trend(subparsers: Any) -> None:
     """Add the command to the command line."""
     parser = subparsers.add_parser(
         "trend",
-        help="wear across flights: what will need service when",
-        description="Fit a line to what each flight says of each actuator, over hours of flight: effectiveness, speed "
-        "and current of motors, the battery's resistance, vibration, as far as the profile watches them. Says what "
-        "will need service when, with an interval that holds it 95 times of 100, or that no trend can be told from "
-        "these flights. Service is due where the monitor would raise an alarm.",
+        help="wear across flights: what will need service, and when",
+        description="Fit a line over hours of flight to the mean of each flight: effectiveness, speed and current of "
+        "motors, the battery's resistance, vibration, as far as the profile watches them. Reports what will need "
+        "service, and when, with a 95 % interval, or that these flights show no trend. Service is due when the "
+        "monitor would raise an alarm.",
         epilog="example: fauio trend flights/ --profile quad/ --plot wear.png",
     )
     parser.add_argument(
@@ -29,16 +29,18 @@ def add_trend(subparsers: Any) -> None:
         nargs="*",
         type=Path,
         metavar="FOLDER|TABLE",
-        help="tables that fauio replay --table wrote (.csv, .parquet), or logs and folders of them, with --profile",
+        help="tables of fauio replay --table (.csv, .parquet), or logs and folders with logs (with --profile)",
     )
     parser.add_argument(
         "--profile",
         type=Path,
         metavar="PROFILE",
-        help="profile folder by which logs are replayed; the flights that it was fitted to count, too",
+        help="profile folder to replay logs with; its fitted flights count too",
     )
     parser.add_argument(
-        "--since", metavar="UTC", help="leave out flights before, as 2026-11-23 or 2026-11-23T08:00: after a service"
+        "--since",
+        metavar="UTC",
+        help="leave out flights before this time, for instance a service: 2026-11-23 or 2026-11-23T08:00",
     )
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="draw the trends")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
