@@ -9,10 +9,9 @@ from pathlib import Path
 
 from adapters.batch import Batch
 from adapters.encoding.record import Record
-from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import ONBOARD_LOG
 from monitor.recording.record_encoder import RecordEncoder
-from monitor.recording.recorder import Channels, add_records, recordable
+from monitor.recording.recorder import RecordFile
 
 
 def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboard: str | None = None) -> int:
@@ -28,14 +27,13 @@ def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboar
     """
     remaining = iter(entries)
     first = list(islice(remaining, 1))
-    with MessageLogWriter(target) as writer:
-        kind = {} if onboard is None else {ONBOARD_LOG: onboard}
-        writer.add_metadata("fauio", {"fauio": version("fauio"), "converted_from": source, **kind})
-        encoder = RecordEncoder(())
-        channels: Channels = {}
+    encoder = RecordEncoder(())
+    kind = {} if onboard is None else {ONBOARD_LOG: onboard}
+    metadata = {"fauio": version("fauio"), "converted_from": source, **kind}
+    with RecordFile(target, encoder.topics, metadata, {}) as file:
         for entry in chain(first, remaining):
             if isinstance(entry, Record):
-                writer.write_record(entry)
-                continue
-            add_records(writer, recordable(writer, encoder.batch(entry), encoder.topics, channels), channels)
-        return writer.statistics().records
+                file.write_record(entry)
+            else:
+                file.add(file.recordable(encoder.batch(entry)))
+        return file.records

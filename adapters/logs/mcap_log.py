@@ -16,7 +16,6 @@ import struct
 import zlib
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import accumulate, chain
 from pathlib import Path
 from typing import Any, BinaryIO, Self, cast
@@ -70,18 +69,6 @@ _MESSAGE_BYTES = _MESSAGE.itemsize
 _SUMMARY_BYTES = 1024
 
 
-@dataclass(frozen=True, slots=True)
-class WriterStatistics:
-    """What a log writer did so far."""
-
-    records: int  # records taken, on all topics
-    # messages left out because no record can hold them: values no JSON knows, a time before 1970, or more topics than
-    # :data:`MAX_CHANNELS`
-    unrecordable: int
-    written: int  # records handed to the operating system; the others wait in the current chunk, or were lost
-    dropped: int = 0  # records lost to writes that failed
-
-
 class MessageLogWriter:
     """Writes telemetry, and records of other topics beside it, into one MCAP file with chunks, indexes and a summary.
 
@@ -91,6 +78,9 @@ class MessageLogWriter:
 
     ``target`` is a file to create, or a stream to write to from its beginning (left open at the end). From an
     unbuffered file (``io.FileIO``) a write that failed half-way is cut off again.
+
+    ``records`` counts those taken, ``unrecordable`` messages left out because no record can hold them: values no JSON
+    knows, a time before 1970, or more topics than :data:`MAX_CHANNELS`.
 
     Raises
     ------
@@ -118,7 +108,7 @@ class MessageLogWriter:
         self._failed: OSError | None = None
         self._closed = False
         self._at = 0
-        self._taken = self._unrecordable = 0
+        self.records = self.unrecordable = 0
         self._compressor = zstandard.ZstdCompressor()
         self._begin_chunk()
         self._channel_ids: dict[tuple[str, str, Schema | None], int] = {}
@@ -164,11 +154,6 @@ class MessageLogWriter:
         )
 
     @property
-    def position(self) -> int:
-        """Records in the file and in the chunk in hand: the number of the last one taken."""
-        return self._totals.message_count + len(self._channel_of)
-
-    @property
     def written(self) -> int:
         """Records handed to the operating system."""
         return self._totals.message_count
@@ -183,7 +168,7 @@ class MessageLogWriter:
         try:
             record = encode(message)
         except ValueError:
-            self._unrecordable += 1
+            self.unrecordable += 1
             return
         self.write_record(record)
 
@@ -191,7 +176,7 @@ class MessageLogWriter:
         """Record what is encoded already; a schema goes into the file with the topic's first record of that kind."""
         channel = self.channel(record.topic, record.encoding, record.schema)
         if channel is None or not 0 <= record.time_ns < 1 << 64:
-            self._unrecordable += 1
+            self.unrecordable += 1
             return
         self.add_all([channel], [record.data], [record.time_ns], record.publish_ns)
 
@@ -223,7 +208,7 @@ class MessageLogWriter:
         """
         if self._closed:
             raise RuntimeError("the log is closed; open another one")
-        self._taken += len(data)
+        self.records += len(data)
         if self._failed is not None:
             raise _again(self._failed)
         # what a chunk is made of is only collected here: it is put together for all of its messages at once
@@ -314,11 +299,6 @@ class MessageLogWriter:
         finally:
             if self._owned is not None:
                 self._owned.close()
-
-    def statistics(self) -> WriterStatistics:
-        """Return the counts so far."""
-        there = self.written if self.failed else self.position
-        return WriterStatistics(self._taken, self._unrecordable, self.written, self._taken - there)
 
     def __enter__(self) -> Self:
         return self

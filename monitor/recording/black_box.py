@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Final
 
 from adapters.errors import StorageError
-from adapters.logs.mcap_log import MessageLogWriter
 from monitor.event import AlarmEvent
 from monitor.recording.record_encoder import EncodedRecord, Topic
-from monitor.recording.recorder import RETRY_S, Channels, add_records, most_bytes, recordable, start_log
+from monitor.recording.recorder import RETRY_S, RecordFile
 from monitor.recording.retention import Retention, file_stem, writable_folder
 from monitor.sampling.phase import FlightPhase
 
@@ -62,8 +61,7 @@ class _Clip:
     metadata: dict[str, str]
     waiting: deque[EncodedRecord]
     alarms: list[str]
-    log: MessageLogWriter | None = None
-    channels: Channels = field(default_factory=dict)
+    log: RecordFile | None = None
     ended: bool = False
     done: list[EncodedRecord] | None = field(default_factory=list)
     """Records to write again if the file has to be begun again; None where they are too many to be kept."""
@@ -264,7 +262,7 @@ class BlackBox:
             log = clip.log = clip.log or self._start(clip)
             records = [*islice(clip.waiting, max_records - count)]
             # near the end of a clip that is full ever fewer
-            while len(records) > 1 and log.size + most_bytes(records, self._topics, clip.channels) > self._clip_bytes:
+            while len(records) > 1 and log.size_with(records) > self._clip_bytes:
                 del records[len(records) // 2 :]
             for _ in records:
                 clip.waiting.popleft()
@@ -273,7 +271,7 @@ class BlackBox:
                 clip.done_bytes += sum(len(data) for _, data, _ in records)
                 if clip.done_bytes > self._held_bytes:
                     clip.done = None
-            add_records(log, recordable(log, records, self._topics, clip.channels), clip.channels)
+            log.add(log.recordable(records))
             count += len(records)
             if log.size > self._clip_bytes:
                 self._counts.dropped += len(clip.waiting)
@@ -281,8 +279,9 @@ class BlackBox:
                 clip.ended = True
         return count
 
-    def _start(self, clip: _Clip) -> MessageLogWriter:
-        return start_log(clip.path, clip.metadata | {"alarm_ids": ",".join(clip.alarms)}, self._profile_files)
+    def _start(self, clip: _Clip) -> RecordFile:
+        metadata = clip.metadata | {"alarm_ids": ",".join(clip.alarms)}
+        return RecordFile(clip.path, self._topics, metadata, self._profile_files)
 
     def _complete(self, clip: _Clip) -> None:
         """Finish a clip's file and make room for it."""
@@ -310,7 +309,7 @@ class BlackBox:
             with contextlib.suppress(OSError):
                 clip.path.unlink()
         clip.waiting.extendleft(reversed(clip.done))
-        clip.log, clip.channels, clip.done, clip.done_bytes = None, {}, [], 0
+        clip.log, clip.done, clip.done_bytes = None, [], 0
         clip.retry_ns = (self._now_ns or 0) + round(RETRY_S * 1e9)
 
     def _give_up(self, clip: _Clip) -> None:
@@ -320,7 +319,7 @@ class BlackBox:
         if clip.log is not None:
             with contextlib.suppress(OSError):
                 clip.log.close()
-            if not clip.log.statistics().written:
+            if not clip.log.written:
                 with contextlib.suppress(OSError):
                     clip.path.unlink()
         self._make_room(clip)

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
-from typing import Final, Self, TypeAlias
+from typing import Final, Self
 
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
@@ -30,66 +30,59 @@ _RECORD_MARGIN = 512
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml"}
 
 
-def start_log(
-    path: str | os.PathLike[str], metadata: Mapping[str, str], profile_files: Mapping[str, bytes]
-) -> MessageLogWriter:
-    """Create a recording, its profile as attachments ``profile/<name>``, and hand it to the operating system.
+class RecordFile(MessageLogWriter):
+    """An MCAP file that takes records by the numbers of their ``topics``, the profile's files attached as ``profile/``.
 
     Raises StorageError where it cannot be created, OSError where it cannot be written; it is removed again then.
     """
-    log = None
-    try:
-        log = MessageLogWriter(path)
-        log.add_metadata(METADATA, metadata)
-        for name, data in profile_files.items():
-            media_type = _MEDIA_TYPES.get(PurePath(name).suffix, "application/octet-stream")
-            log.add_attachment(f"profile/{name}", media_type, data)
-        log.flush()
-    except OSError:
-        with contextlib.suppress(OSError):
-            if log is not None:
-                log.close()
-        with contextlib.suppress(OSError):
-            # /dev/stdout and the like are not ours to remove
-            if Path(path).is_file():
-                Path(path).unlink()
-        raise
-    return log
 
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        topics: Sequence[Topic],
+        metadata: Mapping[str, str],
+        profile_files: Mapping[str, bytes],
+    ) -> None:
+        super().__init__(path)
+        self._topics = topics
+        # None of a topic that the file has no room for
+        self._numbers: dict[int, int | None] = {}
+        try:
+            self.add_metadata(METADATA, metadata)
+            for name, data in profile_files.items():
+                media_type = _MEDIA_TYPES.get(PurePath(name).suffix, "application/octet-stream")
+                self.add_attachment(f"profile/{name}", media_type, data)
+            self.flush()
+        except OSError:
+            with contextlib.suppress(OSError):
+                self.close()
+            with contextlib.suppress(OSError):
+                # /dev/stdout and the like are not ours to remove
+                if Path(path).is_file():
+                    Path(path).unlink()
+            raise
 
-Channels: TypeAlias = dict[int, int]
-"""The channels of a file, counted from 1, by the numbers of topics."""
-_NO_CHANNEL = 0
-"""Of a topic that the file has no room for."""
+    def size_with(self, records: Sequence[EncodedRecord]) -> int:
+        """Return how many bytes the file has at most if it is closed behind these records."""
+        new = {number for number, _, _ in records} - self._numbers.keys()
+        schemas = [schema for number in new if (schema := self._topics[number].schema) is not None]
+        written = sum([len(data) for _, data, _ in records]) + len(records) * _RECORD_MARGIN
+        return self.size + written + sum(2 * len(schema.data) for schema in schemas)
 
+    def recordable(self, records: Sequence[EncodedRecord]) -> Sequence[EncodedRecord]:
+        """Return the records for whose topics the file has room."""
+        numbers = self._numbers
+        for number in {number for number, _, _ in records} - numbers.keys():
+            topic = self._topics[number]
+            numbers[number] = self.channel(topic.name, topic.encoding, topic.schema)
+        if None not in numbers.values():
+            return records
+        return [record for record in records if numbers[record[0]] is not None]
 
-def most_bytes(records: Sequence[EncodedRecord], topics: Sequence[Topic], channels: Channels) -> int:
-    """Return how many bytes records add at most to the file that has these channels."""
-    new = {number for number, _, _ in records} - channels.keys()
-    schemas = [schema for number in new if (schema := topics[number].schema) is not None]
-    written = sum([len(data) for _, data, _ in records]) + len(records) * _RECORD_MARGIN
-    return written + sum(2 * len(schema.data) for schema in schemas)
-
-
-def recordable(
-    log: MessageLogWriter, records: Sequence[EncodedRecord], topics: Sequence[Topic], channels: Channels
-) -> Sequence[EncodedRecord]:
-    """Add the channels that records need to a file; return the records that it has room for."""
-    for number in {number for number, _, _ in records} - channels.keys():
-        topic = topics[number]
-        channels[number] = log.channel(topic.name, topic.encoding, topic.schema) or _NO_CHANNEL
-    if _NO_CHANNEL not in channels.values():
-        return records
-    return [record for record in records if channels[record[0]] != _NO_CHANNEL]
-
-
-def add_records(log: MessageLogWriter, records: Sequence[EncodedRecord], channels: Channels) -> None:
-    """Give records that are :func:`recordable` to a file, all at once."""
-    log.add_all(
-        [channels[number] for number, _, _ in records],
-        [data for _, data, _ in records],
-        [time_ns for _, _, time_ns in records],
-    )
+    def add(self, records: Sequence[EncodedRecord]) -> None:
+        """Write records that are :meth:`recordable`, all at once."""
+        channels = [self._numbers[number] or 0 for number, _, _ in records]
+        self.add_all(channels, [data for _, data, _ in records], [time_ns for _, _, time_ns in records])
 
 
 @dataclass(slots=True)
@@ -143,8 +136,7 @@ class Recorder:
         self._profile_files = dict(profile_files)
         self._strict = strict
         self._monotonic = monotonic
-        self._log: MessageLogWriter | None = None
-        self._channels: Channels = {}
+        self._log: RecordFile | None = None
         self._first_ns = self._given = 0
         self._arrived_ns: int | None = None
         # alarm records given to the file in hand, with their numbers in it, until it was flushed; those without a file
@@ -227,16 +219,16 @@ class Recorder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _write(self, log: MessageLogWriter, records: Sequence[EncodedRecord], keep: bool) -> None:
+    def _write(self, log: RecordFile, records: Sequence[EncodedRecord], keep: bool) -> None:
         """Give records to a file."""
-        kept = recordable(log, records, self._topics, self._channels)
+        kept = log.recordable(records)
         self._counts.unrecordable += len(records) - len(kept)
         if keep:
             self._unflushed.extend(enumerate(kept, self._given + 1))
         self._given += len(kept)
-        add_records(log, kept, self._channels)
+        log.add(kept)
 
-    def _log_for(self, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> MessageLogWriter | None:
+    def _log_for(self, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> RecordFile | None:
         """Return the file that the first of some records belongs into, None while there is none."""
         log = self._log
         if log is not None and not log.failed:
@@ -247,7 +239,7 @@ class Recorder:
             return None
         return self._continue(times_ns[0] if times_ns else self._arrived_ns or records[0][2])
 
-    def _fits(self, log: MessageLogWriter, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> bool:
+    def _fits(self, log: RecordFile, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> bool:
         """Return whether records belong into a file, by its size and by the times of telemetry.
 
         Only telemetry tells the time: it is stamped by one clock, while the monitor's own records carry the
@@ -258,9 +250,9 @@ class Recorder:
             return True
         if times_ns and max(max(times_ns) - self._first_ns, self._first_ns - min(times_ns)) >= series.file_ns:
             return False
-        return log.size + most_bytes(records, self._topics, self._channels) <= series.file_bytes
+        return log.size_with(records) <= series.file_bytes
 
-    def _continue(self, first_ns: int) -> MessageLogWriter:
+    def _continue(self, first_ns: int) -> RecordFile:
         """Resume the file in hand, or begin the next, named by its first telemetry's time; write the pending events."""
         log = self._log
         if log is None and self._series is not None:
@@ -279,10 +271,9 @@ class Recorder:
         self._counts.failed = None
         return log
 
-    def _start(self, path: Path) -> MessageLogWriter:
-        self._log = start_log(path, self._metadata, self._profile_files)
+    def _start(self, path: Path) -> RecordFile:
+        self._log = RecordFile(path, self._topics, self._metadata, self._profile_files)
         self._counts.path = path
-        self._channels = {}
         self._given = 0
         self._counts.files += 1
         return self._log
@@ -317,7 +308,7 @@ class Recorder:
             if self._strict:
                 raise
 
-    def _count_lost(self, log: MessageLogWriter) -> None:
+    def _count_lost(self, log: RecordFile) -> None:
         """Count the records that a file was given and lacks, without events, which wait for the next try."""
         before = len(self._waiting)
         self._waiting.extendleft(record for number, record in reversed(self._unflushed) if number > log.written)
