@@ -65,7 +65,7 @@ def test_twenty_flights_give_the_same_one_by_one_in_two_processes_and_on_a_clust
         done = subprocess.run(command, env=ENVIRONMENT, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 2
         # how far a run is it says after ten seconds, which not every machine takes
-        told = [line for line in done.stderr.splitlines() if not line.startswith("replaying: ")]
+        told = [line for line in done.stderr.splitlines() if not line.startswith("fauio: replaying: ")]
         said.append((done.stdout, told, (tmp_path / f"{run}.jsonl").read_text()))
     assert said[0] == said[1] == said[2]
     logs: list[dict[str, Any]] = [json.loads(line) for line in said[0][0].splitlines()]

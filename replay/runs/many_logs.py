@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
-from multiprocessing import get_context, resource_tracker
-from multiprocessing.connection import Connection, wait
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import active_children, get_context, resource_tracker
 from typing import Any
 
 from adapters.errors import TelemetryError, UsageError
@@ -70,37 +72,33 @@ def _outcome(task: LogTask, future: Any) -> LogOutcome:
     return outcome
 
 
-# How many logs to go on while one takes long: what is found in them waits in memory.
-AHEAD = 256
-
-
 def replay_in_processes(profile: Profile, tasks: Sequence[LogTask], jobs: int) -> Iterator[LogOutcome]:
     """Replay logs in processes, and return what was found in the order of the logs.
 
     A process that dies fails its log alone. When the iteration ends, however it ends, so do all processes.
     """
-    workers = [_Worker(profile) for _ in range(min(jobs, len(tasks)))]
-    done: dict[int, LogOutcome] = {}
-    given = yielded = 0
-    try:
-        while yielded < len(tasks):
-            for worker in workers:
-                if worker.at is None and given < min(len(tasks), yielded + AHEAD):
-                    worker.give(given, tasks[given])
-                    given += 1
-            busy = {worker.connection: worker for worker in workers if worker.at is not None}
-            for connection in wait(list(busy)):
-                worker = busy[connection]  # type: ignore[index]
-                at, outcome = worker.take()
-                done[at] = outcome
-                if not worker.alive:
-                    workers[workers.index(worker)] = _Worker(profile)
-            while yielded in done:
-                yield done.pop(yielded)
-                yielded += 1
-    finally:
-        for worker in workers:
-            worker.end()
+    own, before = threading.local(), set(active_children())
+
+    def replayed(task: LogTask) -> LogOutcome:
+        # a process for each thread: one that dies would end all of a pool
+        if getattr(own, "pool", None) is None:
+            own.pool = pools.enter_context(ProcessPoolExecutor(1, get_context("spawn")))
+        try:
+            with deaf_to_interrupts():
+                found = own.pool.submit(replay_log, profile, task)
+            outcome: LogOutcome = found.result()
+        except BrokenProcessPool:
+            own.pool = None
+            error = f"{task.log}: the process that replayed it was ended, perhaps for want of memory"
+            return LogOutcome(log=task.log, error=error)
+        return outcome
+
+    with contextlib.ExitStack() as pools, ThreadPoolExecutor(min(jobs, len(tasks))) as threads:
+        try:
+            yield from threads.map(replayed, tasks)
+        finally:
+            for process in set(active_children()) - before:
+                process.terminate()
 
 
 @contextlib.contextmanager
@@ -113,60 +111,3 @@ def deaf_to_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-class _Worker:
-    """A process that replays one log after the other.
-
-    ``connection`` becomes readable when a log is done, or the process; ``at`` is the index of the log it is at,
-    ``alive`` says whether it can take another.
-    """
-
-    def __init__(self, profile: Profile) -> None:
-        # spawned, not forked: whatever runs in this process does not run in that one
-        context = get_context("spawn")
-        self.connection, theirs = context.Pipe()
-        self.at: int | None = None
-        self.alive = True
-        self._log = ""
-        self._process = context.Process(target=_work, args=(theirs, profile), daemon=True)
-        with deaf_to_interrupts():
-            self._process.start()
-        # what is left open here would hide the end of the process
-        theirs.close()
-
-    def give(self, at: int, task: LogTask) -> None:
-        """Let it replay a log."""
-        self.at, self._log = at, task.log
-        # where it has died, the connection says so
-        with contextlib.suppress(OSError):
-            self.connection.send(task)
-
-    def take(self) -> tuple[int, LogOutcome]:
-        """Return what became of its log."""
-        at = self.at
-        assert at is not None  # noqa: S101 - only who is at a log is asked
-        self.at = None
-        try:
-            outcome: LogOutcome = self.connection.recv()
-        except (EOFError, OSError):
-            self.alive = False
-            self.end()
-            code = self._process.exitcode or 0
-            how = signal.Signals(-code).name if code < 0 else f"exit status {code}"
-            return at, LogOutcome(log=self._log, error=f"{self._log}: the process that replayed it ended ({how})")
-        return at, outcome
-
-    def end(self) -> None:
-        """End the process, whatever it is at."""
-        self.connection.close()
-        if self.alive:
-            self._process.terminate()
-        self._process.join()
-
-
-def _work(connection: Connection, profile: Profile) -> None:
-    """Replay the logs that come, until no more can."""
-    with contextlib.suppress(EOFError, OSError):
-        while True:
-            connection.send(replay_log(profile, connection.recv()))
