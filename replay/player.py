@@ -48,17 +48,20 @@ class Watch:
 class Replay:
     """What a replay found."""
 
-    events: tuple[AlarmEvent, ...]  # in order
-    traces: tuple[Trace, ...]  # estimates by observer; empty where they were not asked for
-    samples: int  # samples the observers took
-    evidence: int  # samples among them from which alarms could be raised
-    watched_s: float  # time of the vehicle over which alarms could be raised, of the observer that watched longest
-    messages: int  # messages of the recording that mattered
-    thresholds: Mapping[tuple[str, str], float]  # alarm thresholds by observer and channel
+    events: tuple[AlarmEvent, ...] = ()  # in order
+    traces: tuple[Trace, ...] = ()  # estimates by observer; empty where they were not asked for
+    samples: int = 0  # samples the observers took
+    evidence: int = 0  # samples among them from which alarms could be raised
+    watched_s: float = (
+        0.0  # time of the vehicle over which alarms could be raised, of the observer that watched longest
+    )
+    messages: int = 0  # messages of the recording that mattered
+    # alarm thresholds by observer and channel
+    thresholds: Mapping[tuple[str, str], float] = field(default_factory=dict)
     # messages that the recording lacks, of each observer that therefore could watch nothing
-    lacking: Mapping[str, tuple[str, ...]]
-    watches: Mapping[str, Watch]  # how each observer fared
-    foreign: int  # messages of other systems or components, which were left out
+    lacking: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    watches: Mapping[str, Watch] = field(default_factory=dict)  # how each observer fared
+    foreign: int = 0  # messages of other systems or components, which were left out
     mismatch: str | None = None  # what says that the vehicle is another than the profile's; None where nothing does
     # for how long, seconds, and how far the flight lay outside of those that were fitted, by observer
     outside: Mapping[str, tuple[float, str]] = field(default_factory=dict)

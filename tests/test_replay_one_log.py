@@ -66,4 +66,4 @@ def test_what_was_not_foreseen_is_one_line(
 
 def test_an_alarm_that_was_unshelved_is_counted_once() -> None:
     events = (event(1), event(2, state="shelved"), event(3), event(4, "motor2"), event(5, state="cleared"))
-    assert LogOutcome("a", events=events).raised == (event(1), event(4, "motor2"))
+    assert LogOutcome(log="a", events=events).raised == (event(1), event(4, "motor2"))

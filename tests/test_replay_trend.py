@@ -218,7 +218,7 @@ def test_wear_is_less_effect_more_current_resistance_and_vibration(fault: FaultC
 
 
 def written(path: Path, flights: list[LoggedFlight]) -> Path:
-    outcomes = [LogOutcome(one.log, evidence=1, watched_s=one.watched_s, levels=one.levels) for one in flights]
+    outcomes = [LogOutcome(log=one.log, evidence=1, watched_s=one.watched_s, levels=one.levels) for one in flights]
     with SummaryTable(path, MOTORS) as table:
         for one in outcomes:
             table.add(one)

@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adapters.errors import FauioError, OtherVehicleError
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, recorded_vehicle, recording_kind
-from monitor.conditions.condition import FlightCondition
 from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
 from monitor.sampling.slow_telemetry import seldom_text
 from monitor.trace import MAX_ROWS
-from monitor.views.panels import RunView, TrueSizes
+from monitor.views.panels import RunView
 from replay.attacks.inject import known_truth
 from replay.inspection.log_info import first_raised
 from replay.player import Replay, interests, play_batches
 from replay.reports.findings import effects, findings
 from replay.reports.levels import WearLevel, flight_levels
 from replay.reports.recording_facts import RecordingFacts, RecordingMeter
+from replay.reports.report import Run, write_report
 from replay.reports.verdict import alarm_summary, run_sentence, stated_facts
 
 if TYPE_CHECKING:
@@ -60,29 +60,19 @@ class LogTask:
 
 
 @dataclass(frozen=True, slots=True)
-class LogOutcome:
-    """What the replay of one log found."""
+class LogOutcome(Replay):
+    """What the replay of one log found, without its traces."""
 
-    log: str  # the log as the user named it
+    log: str = ""  # the log as the user named it
     kind: str = ""  # kind of recording; empty where it is not known
     error: str | None = None  # why the log could not be replayed, one line that names it; None where it could
     verdict: str = ""  # how many alarms there were, and what was not watched, as a sentence
     sentence: str = ""  # what happened, as a sentence; empty where nothing was found
     alarms: tuple[str, ...] = ()  # a line for each alarm: from when to when, what, how much
-    events: tuple[AlarmEvent, ...] = ()  # alarm events in order
     # Unix times of the first and the last message that mattered, nanoseconds
     start_ns: int = 0
     end_ns: int = 0
-    # samples the observers took, and those from which alarms could be raised
-    samples: int = 0
-    evidence: int = 0
-    watched_s: float = 0.0  # time over which alarms could be raised, seconds
-    unwatched: tuple[tuple[str, float], ...] = ()  # what of the flight was not watched, and for how long, seconds
-    # messages that the log lacks, by observer that therefore watched nothing
-    lacking: Mapping[str, tuple[str, ...]] | None = None
-    mismatch: str | None = None  # what says that it is of another vehicle than the profile's
     damage: tuple[Damage, ...] = ()  # what of it could not be read
-    conditions: tuple[FlightCondition, ...] = ()  # what was seen that is no fault
     levels: tuple[WearLevel, ...] = ()  # what the flight says of wear
     processor_s: float = 0.0  # processor time of the replay with all of its outputs, seconds
 
@@ -97,8 +87,9 @@ class LogOutcome:
         if self.error is not None:
             found["error"] = self.error
         found |= {"samples": self.samples, "evidence": self.evidence, "watched_s": round(self.watched_s, 3)}
-        found["unwatched"] = [{"why": why, "seconds": round(seconds, 3)} for why, seconds in self.unwatched]
-        found["lacking"] = {name: list(lacks) for name, lacks in (self.lacking or {}).items()}
+        unwatched = self.unwatched(self.end_ns)
+        found["unwatched"] = [{"why": why, "seconds": round(seconds, 3)} for why, seconds in unwatched]
+        found["lacking"] = {name: list(lacks) for name, lacks in self.lacking.items()}
         if self.mismatch is not None:
             found["mismatch"] = self.mismatch
         found["verdict"] = self.sentence or self.verdict
@@ -161,52 +152,42 @@ def _replay(
     verdict = _verdict(found, profile, facts)
     stated = stated_facts(task.path) if task.report else None
     results = findings(profile, found.events, found.traces)
-    sentence = run_sentence(results, stated) if results else ""
-    truth = known_truth(task.path, found.traces) if task.plot or task.rrd or task.report else {}
-    _write(profile, task, found, truth, f"{Path(task.log).name}: {verdict}")
-    if task.report:
-        from replay.reports.report import Run, write_report
-
-        run = Run(
-            profile=profile,
-            folder=task.folder or Path(profile.name),
-            log=task.path,
-            vehicle=vehicle or profile.name,
-            verdict=verdict,
-            replay=found,
-            recording=facts,
-            damage=recording.damage(),
-            truth=truth,
-            facts=stated,
-        )
-        write_report(task.report, run)
+    damage = recording.damage()
+    run = Run(
+        profile=profile,
+        folder=task.folder or Path(profile.name),
+        log=task.path,
+        vehicle=vehicle or profile.name,
+        verdict=verdict,
+        replay=found,
+        recording=facts,
+        damage=damage,
+        truth=known_truth(task.path, found.traces) if task.plot or task.rrd or task.report else {},
+        facts=stated,
+    )
     verdict = f"{Path(task.log).name}: {verdict}"
+    _write(task, run, verdict)
+    told = {each.name: getattr(found, each.name) for each in fields(Replay)} | {"traces": ()}
     return LogOutcome(
+        **told,
         log=task.log,
         kind=kind,
         error=None if found.samples else verdict,
         verdict=verdict,
-        sentence=sentence,
+        sentence=run_sentence(results, stated) if results else "",
         alarms=tuple(map(alarm_summary, results)),
-        events=found.events,
         start_ns=facts.first_ns or 0,
         end_ns=facts.last_ns or 0,
-        samples=found.samples,
-        evidence=found.evidence,
-        watched_s=found.watched_s,
-        unwatched=tuple(found.unwatched(facts.last_ns or 0)),
-        lacking=dict(found.lacking),
-        mismatch=found.mismatch,
-        damage=recording.damage(),
-        conditions=found.conditions,
+        damage=damage,
         levels=tuple(flight_levels(profile, found.events, found.traces)),
         processor_s=time.thread_time() - started_s,
     )
 
 
-def _write(profile: Profile, task: LogTask, found: Replay, truth: TrueSizes, title: str) -> None:
-    """Write the plot and the Rerun recording that were asked for."""
-    shown = RunView(found.traces, found.events, found.thresholds, truth, effects(profile))
+def _write(task: LogTask, run: Run, title: str) -> None:
+    """Write the plot, the Rerun recording and the report that were asked for."""
+    found = run.replay
+    shown = RunView(found.traces, found.events, found.thresholds, run.truth, effects(run.profile))
     if task.plot:
         from replay.reports.plot import plot_png
 
@@ -216,6 +197,8 @@ def _write(profile: Profile, task: LogTask, found: Replay, truth: TrueSizes, tit
         from monitor.views.way import WAY_MESSAGES, way_of
 
         write_rrd(task.rrd, shown._replace(way=way_of(Recording(task.path, WAY_MESSAGES, task.mapping).batches())))
+    if task.report:
+        write_report(task.report, run)
 
 
 def _verdict(found: Replay, profile: Profile, facts: RecordingFacts) -> str:

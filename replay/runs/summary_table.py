@@ -51,7 +51,7 @@ def summary_row(outcome: LogOutcome) -> dict[str, Any]:
     severities = {event.severity for event in outcome.events}
     duration_s = max(0, outcome.end_ns - outcome.start_ns) / 1e9
     status = "failed" if outcome.error is not None else "ok" if outcome.evidence else "unwatched"
-    lacking = [f"{name}: {', '.join(lacks)}" for name, lacks in (outcome.lacking or {}).items()]
+    lacking = [f"{name}: {', '.join(lacks)}" for name, lacks in outcome.lacking.items()]
     worn = {
         name: float(f"{value:.6g}")
         for level in outcome.levels
