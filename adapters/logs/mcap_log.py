@@ -132,6 +132,7 @@ class MessageLogWriter:
         try:
             self._write(MCAP0_MAGIC + _encoded(Header(profile="", library="fauio")))
         except OSError:
+            self._closed = True
             if self._owned is not None:
                 self._owned.close()
             raise

@@ -193,7 +193,6 @@ class BlackBox:
         for clip in [*self._clips]:
             clip.ended, clip.tries = True, MAX_TRIES
             self._advance(clip, len(clip.waiting))
-        self._retention.wait()
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Add entries to the metadata of the clips to come."""

@@ -43,11 +43,11 @@ class RecordFile(MessageLogWriter):
         metadata: Mapping[str, str],
         profile_files: Mapping[str, bytes],
     ) -> None:
-        super().__init__(path)
         self._topics = topics
         # None of a topic that the file has no room for
         self._numbers: dict[int, int | None] = {}
         try:
+            super().__init__(path)
             self.add_metadata(METADATA, metadata)
             for name, data in profile_files.items():
                 media_type = _MEDIA_TYPES.get(PurePath(name).suffix, "application/octet-stream")
@@ -206,8 +206,6 @@ class Recorder:
             self._retry_s = 0.0
             self.flush()
         self._end_file()
-        if self._series is not None:
-            self._series.retention.wait()
 
     def statistics(self) -> RecorderStatistics:
         """Return the counts so far."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import threading
-from collections.abc import Container, Sequence
+from collections.abc import Container
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -81,7 +80,6 @@ class Retention:
         self._name = name
         self._budget_bytes = budget_bytes
         self.deleted = 0
-        self._deleting: threading.Thread | None = None
 
     def files(self) -> list[Path]:
         """Return the files in order of age; none where the folder cannot be read."""
@@ -91,36 +89,18 @@ class Retention:
             return []
 
     def make_room(self, room_bytes: int = 0, keep: Container[Path] = ()) -> None:
-        """Delete the oldest files until ``room_bytes`` more fit into the budget, those to ``keep`` excepted.
-
-        A thread deletes them: a large file takes the disk tens of milliseconds.
-        """
-        self.wait()
+        """Delete the oldest files until ``room_bytes`` more fit into the budget, those to ``keep`` excepted."""
         sizes = {}
         for path in self.files():
             with contextlib.suppress(OSError):
                 sizes[path] = path.stat().st_size
         excess = sum(sizes.values()) + room_bytes - self._budget_bytes
-        excessive = []
         for path, size in sizes.items():
             if excess > 0 and path not in keep:
-                excessive.append(path)
                 excess -= size
-        if excessive:
-            self._deleting = threading.Thread(target=self._delete, args=(excessive,), daemon=True)
-            self._deleting.start()
-
-    def wait(self) -> None:
-        """Wait for files that are being deleted."""
-        if self._deleting is not None:
-            self._deleting.join()
-            self._deleting = None
-
-    def _delete(self, paths: Sequence[Path]) -> None:
-        for path in paths:
-            with contextlib.suppress(OSError):
-                path.unlink()
-                self.deleted += 1
+                with contextlib.suppress(OSError):
+                    path.unlink()
+                    self.deleted += 1
 
 
 def writable_folder(folder: str | os.PathLike[str]) -> Path:
