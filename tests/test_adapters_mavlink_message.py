@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from packet_stream import PacketStream, packet_sequence
 from pymavlink.dialects.v20 import ardupilotmega
 
-from adapters.mavlink.mavlink_message import Definition, message_number, packet_sender
+from adapters.mavlink.mavlink_message import message_number, packet_sender
 from adapters.source import MAVLINK
 
 ATTITUDE = 30
@@ -205,23 +205,6 @@ def test_what_is_found_and_counted_does_not_depend_on_cuts(pieces: list[bytes], 
     assert packets == expected
     counts = ("intact", "unknown", "bad_checksums", "damaged", "skipped_bytes", "in_damage", "waiting")
     assert [getattr(parts.scanner, name) for name in counts] == [getattr(whole.scanner, name) for name in counts]
-
-
-@pytest.mark.parametrize("name", ["ATTITUDE", "VIBRATION", "ESC_TELEMETRY_1_TO_4", "RPM"])
-def test_a_definition_of_our_own_is_what_pymavlink_makes_of_it(name: str) -> None:
-    [table] = [table for table in ardupilotmega.mavlink_map.values() if table.msgname == name]
-    lengths = dict(zip(table.ordered_fieldnames, table.array_lengths, strict=True))
-    kinds = zip(table.fieldtypes, table.fieldnames, strict=True)
-    own = Definition(
-        name,
-        ", ".join(
-            f"{kind}[{lengths[field]}] {field}" if lengths[field] else f"{kind} {field}" for kind, field in kinds
-        ),
-    )
-    for attribute in ("fieldnames", "ordered_fieldnames", "orders", "lengths", "array_lengths", "native_format"):
-        assert list(getattr(own, attribute)) == list(getattr(table, attribute)), attribute
-    assert own.unpacker.size == table.unpacker.size
-    assert own.crc_extra == table.crc_extra
 
 
 def test_what_motors_turn_is_decoded_though_pymavlink_does_not_know_it() -> None:

@@ -8,9 +8,9 @@ verified by :mod:`adapters.mavlink.signing`.
 from __future__ import annotations
 
 import functools
-import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -103,64 +103,28 @@ def packet_signed(packet: bytes) -> bool:
     return packet[0] == MAGIC_2 and bool(packet[2] & _SIGNED)
 
 
-class Definition:
-    """A message definition with the attributes of pymavlink's classes, of one that pymavlink's dialects lack.
-
-    Its ``fields`` are written as a MAVLink header has them, in the order of the definition: ``uint8_t index, int32_t[4]
-    rpm``.
-    """
-
-    def __init__(self, name: str, fields: str) -> None:
-        places = _TYPE.findall(fields)
-        # larger types go first, those of one size in the order of the definition
-        wire = sorted(places, key=lambda place: -_SIZES[place[0]])
-        self.msgname = name
-        self.fieldnames, self.fieldtypes = [place[2] for place in places], [place[0] for place in places]
-        self.ordered_fieldnames = [place[2] for place in wire]
-        self.array_lengths = [int(place[1] or 0) for place in wire]
-        self.lengths = [length or 1 for length in self.array_lengths]
-        self.orders = [self.ordered_fieldnames.index(name) for name in self.fieldnames]
-        codes = [_CODES[place[0]] for place in wire]
-        self.native_format = ("<" + "".join(codes)).encode()
-        parts = (f"{length}{code}" for length, code in zip(self.lengths, codes, strict=True))
-        self.unpacker = struct.Struct("<" + "".join(parts))
-        self.crc_extra = _extra(name, wire)
-
-
-def _extra(name: str, wire: Sequence[tuple[str, str, str]]) -> int:
-    """Return the byte that stands for a definition in checksums (MAVLink's serialization, CRC_EXTRA)."""
-    from pymavlink.generator.mavcrc import x25crc
-
-    fields = (f"{kind} {field} ".encode() + bytes([int(length)] if length else []) for kind, length, field in wire)
-    crc = x25crc(f"{name} ".encode() + b"".join(fields))
-    return int((crc.crc & 0xFF) ^ (crc.crc >> 8))
-
-
-_TYPE = re.compile(r"(\w+)(?:\[(\d+)\])? (\w+)")
-_CODES = {
-    "uint8_t": "B",
-    "uint16_t": "H",
-    "uint32_t": "I",
-    "uint64_t": "Q",
-    "int16_t": "h",
-    "int32_t": "i",
-    "float": "f",
-}
-_SIZES = {kind: struct.calcsize("<" + code) for kind, code in _CODES.items()}
-_LACKING = {
-    291: ("ESC_STATUS", "uint8_t index, uint64_t time_usec, int32_t[4] rpm, float[4] voltage, float[4] current"),
-}
-"""Messages of MAVLink's common dialect, sent by PX4, that pymavlink's dialects lack: they are marked as work in
-progress."""
+_ESC_STATUS = SimpleNamespace(
+    msgname="ESC_STATUS",
+    fieldnames=["index", "time_usec", "rpm", "voltage", "current"],
+    fieldtypes=["uint8_t", "uint64_t", "int32_t", "float", "float"],
+    ordered_fieldnames=["time_usec", "rpm", "voltage", "current", "index"],
+    array_lengths=[0, 4, 4, 4, 0],
+    lengths=[1, 4, 4, 4, 1],
+    orders=[4, 0, 1, 2, 3],
+    native_format=b"<QiffB",
+    unpacker=struct.Struct("<Q4i4f4fB"),
+    crc_extra=10,
+)
+"""A message of MAVLink's common dialect, sent by PX4, that pymavlink's dialects lack, for it is marked as work in
+progress; with the attributes of pymavlink's classes."""
 
 
 @functools.cache
 def mavlink_types() -> dict[int, MavlinkType]:
-    """Return the messages of the ardupilotmega dialect (common included) by id, and those that pymavlink lacks."""
+    """Return the messages of the ardupilotmega dialect (common included) by id, and ESC_STATUS."""
     from pymavlink.dialects.v20 import ardupilotmega
 
-    lacking = {number: Definition(*fields) for number, fields in _LACKING.items()}
-    return {number: MavlinkType(table) for number, table in (lacking | ardupilotmega.mavlink_map).items()}
+    return {number: MavlinkType(table) for number, table in ({291: _ESC_STATUS} | ardupilotmega.mavlink_map).items()}
 
 
 @functools.cache
