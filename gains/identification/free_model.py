@@ -29,7 +29,7 @@ from gains.identification.simulation import Dynamics, Vectorised, compile_vector
 from gains.plants.expression import compile_expression, parse_expression
 from gains.plants.model_file import read_plant
 from gains.plants.model_table import read_by_name, read_matrix, read_rows, read_vector
-from gains.plants.plant import FloatArray, Plant
+from gains.plants.plant import FloatArray, Plant, padded_curves
 
 _EXTRA = ("parameters", "channels", "phase")
 _MATRICES = ("A", "B", "C")
@@ -106,7 +106,7 @@ class FreeModel:
                 for raw in self.document.get("nonlinearity", [])
             ),
             parameters=np.array(list(named.values())),
-            curves=_curves(root, plant.inputs),
+            curves=padded_curves(read_by_name(root, "curves", plant.inputs, [1.0])),
         )
         file.check()
         return dynamics
@@ -208,15 +208,12 @@ def _resolved(document: Mapping[str, Any], named: Mapping[str, float], used: set
         resolved["curves"] = _each(resolved["curves"], lambda curve: number(_each(curve, number)))
     for key in ("nonlinearity", "fault", "disturbance", "noise"):
         if key in resolved and _tables(resolved, key):
-            resolved[key] = [_resolved_term(table, named, number.used) for table in resolved[key]]
+            resolved[key] = [_resolved_term(table, number) for table in resolved[key]]
     return {key: value for key, value in resolved.items() if value != {}}
 
 
-def _resolved_term(
-    table: Mapping[str, Any], named: Mapping[str, float], used: set[str] | None = None
-) -> dict[str, Any]:
+def _resolved_term(table: Mapping[str, Any], number: _Resolver) -> dict[str, Any]:
     """Return one [[nonlinearity]], [[fault]], [[disturbance]] or [[noise]] with numbers for expressions."""
-    number = _Resolver(named, set() if used is None else used)
     resolved = dict(table)
     for key in ("scale", "rate", "error"):
         if key in resolved:
@@ -275,11 +272,3 @@ _compiled = functools.lru_cache(maxsize=1024)(compile_expression)
 @functools.lru_cache(maxsize=1024)
 def _vectorised(text: str, names: tuple[str, ...]) -> Vectorised:
     return compile_vectorised(parse_expression(text, names))
-
-
-def _curves(root: Table, inputs: Sequence[str]) -> FloatArray:
-    curves = read_by_name(root, "curves", inputs, [1.0])
-    padded = np.zeros((len(inputs), max((len(curve) for curve in curves), default=1)))
-    for row, curve in zip(padded, curves, strict=True):
-        row[: len(curve)] = curve
-    return padded

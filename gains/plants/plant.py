@@ -14,7 +14,7 @@ A sampled plant looks at its nonlinearities in the middle of the sample that beg
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeVar
 
@@ -232,6 +232,14 @@ class Plant:
         """Errors that matter of [x; f_s; f_a] (n + a2 + a1,)."""
         faults = [fault.error for fault in (*self.sensor_faults, *self.actuator_faults)]
         return np.concatenate([self.state_errors, faults])
+
+
+def padded_curves(curves: Sequence[Sequence[float]]) -> FloatArray:
+    """Return the coefficients of the inputs' static curves as one array (s, degree)."""
+    padded = np.zeros((len(curves), max(map(len, curves), default=1)))
+    for row, curve in zip(padded, curves, strict=True):
+        row[: len(curve)] = curve
+    return padded
 
 
 def checked_array(value: ArrayLike, shape: tuple[int, ...], key: str, *path: str | int) -> FloatArray:

@@ -25,7 +25,7 @@ from gains.analysis.augment import augment, integrators
 from gains.analysis.floor import floor_sqrt_mu
 from gains.plants.discretise import discretise
 from gains.plants.model_file import model_document, model_hash
-from gains.plants.plant import FloatArray, Plant
+from gains.plants.plant import FloatArray, Plant, padded_curves
 from gains.synthesis.certificate import CONSISTENCY, Certificate, design_report, inverse_error
 from gains.synthesis.design import Design, ObserverMatrices
 from gains.synthesis.gains_file import Gains, ScalarNonlinearity
@@ -139,7 +139,7 @@ def common_fields(plant: Plant, matrices: ObserverMatrices | None) -> dict[str, 
         "fault_units": tuple(fault.unit for fault in faults),
         "fault_inputs": tuple(None if fault.input is None else plant.inputs.index(fault.input) for fault in faults),
         "input_taps": plant.taps,
-        "input_curves": input_curves(plant),
+        "input_curves": padded_curves(plant.curves),
         "nonlinearities": tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
     }
 
@@ -195,12 +195,3 @@ def provable(summary: dict[str, Any], plant: Plant, design: Design) -> dict[str,
         "plant": json.loads(json.dumps(model_document(plant))),  # lists for tuples, as a file reads back
     }
     return {**summary, "certificate": {**summary["certificate"], **proof}}
-
-
-def input_curves(plant: Plant) -> FloatArray:
-    """Return the coefficients of the inputs' static curves as one array (s, degree)."""
-    degree = max((len(curve) for curve in plant.curves), default=1)
-    curves = np.zeros((len(plant.inputs), degree))
-    for i, curve in enumerate(plant.curves):
-        curves[i, : len(curve)] = curve
-    return curves

@@ -41,8 +41,7 @@ from numpy.typing import NDArray
 
 from adapters.sample import Samples
 from adapters.toml_tables import Table
-from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.compilation import input_curves
+from gains.plants.plant import FloatArray, Plant, padded_curves
 from monitor.core.changes import ChangeTest
 from monitor.estimation.excitation import HOLD_S, judged_outputs
 
@@ -188,7 +187,7 @@ def _actuators_test(
     jumps = moved.shape[1]
     return ChangeTest(
         dynamics=dynamics,
-        curves=input_curves(plant),
+        curves=padded_curves(plant.curves),
         taps=taps,
         additions=_whitened(_unpredicted(moved, dynamics[:, : len(plant.outputs)], judged), rule.whitening),
         grown=np.ones((depth, jumps)),
