@@ -240,28 +240,7 @@ class VehicleMonitor:
         steady_ns = time.monotonic_ns()
         elapsed_s = max((steady_ns - self._second.started_ns) / 1e9, 1e-9)
         recent = self.latency.end_interval()
-        behind = recent.p99_s > _BEHIND_S
-        reasons = [*troubles]
-        if behind or self.pipeline.stale:
-            # While the monitor lags, messages may be queued, not missing.
-            self._watch.pause(now_ns)
-        else:
-            lacks = self._watch.lacks(now_ns)
-            reasons += self.pipeline.contradictions
-            reasons += lacks if self.pipeline.blind is None else [self.pipeline.blind]
-        if behind:
-            reasons.append(f"the monitor does not keep up: {recent.p99_s:.1f} s behind")
-        if (mismatch := self.pipeline.mismatch) is not None:
-            reason = f"not watched: {mismatch}" if self.pipeline.refused else mismatch
-            reasons = [reason, *(other for other in reasons if other != reason)]
-        state = "starting"
-        if self.pipeline.stale:
-            state = "stale"
-        elif self.pipeline.blind is not None:
-            state = "blind"
-        elif self.samples or self.pipeline.refused:
-            state = "degraded" if reasons else "monitoring"
-            reasons += self.pipeline.outside
+        state, reasons = self._state(now_ns, recent.p99_s, troubles)
         active = self.pipeline.desk.active
         status = {
             "state": state,
@@ -305,6 +284,30 @@ class VehicleMonitor:
         if self._outlet is not None:
             self._outlet.status(status)
         return status
+
+    def _state(self, now_ns: int, behind_s: float, troubles: Sequence[str]) -> tuple[VehicleState, list[str]]:
+        """Return the vehicle's state while the monitor is so far behind, and what is to be said about it."""
+        pipeline, reasons = self.pipeline, [*troubles]
+        behind = behind_s > _BEHIND_S
+        if behind or pipeline.stale:
+            # While the monitor lags, messages may be queued, not missing.
+            self._watch.pause(now_ns)
+        else:
+            lacks = self._watch.lacks(now_ns)
+            reasons += pipeline.contradictions
+            reasons += lacks if pipeline.blind is None else [pipeline.blind]
+        if behind:
+            reasons.append(f"the monitor does not keep up: {behind_s:.1f} s behind")
+        if (mismatch := pipeline.mismatch) is not None:
+            reason = f"not watched: {mismatch}" if pipeline.refused else mismatch
+            reasons = [reason, *(other for other in reasons if other != reason)]
+        if pipeline.stale:
+            return "stale", reasons
+        if pipeline.blind is not None:
+            return "blind", reasons
+        if self.samples or pipeline.refused:
+            return "degraded" if reasons else "monitoring", [*reasons, *pipeline.outside]
+        return "starting", reasons
 
     def _channels(self) -> dict[str, dict[str, Any]]:
         """Return thresholds, units and usual commands of fault channels by observer."""
