@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any
 
 from adapters.batch import Columns, one_message
@@ -40,37 +40,30 @@ _SILENT_NS = 3 * SECOND_NS
 _LARGEST_HZ = 1000.0
 
 
-def _internal(default: Any) -> Any:
-    return field(default=default, repr=False, compare=False)
-
-
 @dataclass(slots=True)
-class RequestedRate:
+class _Request:
     """What became of one request to a vehicle's autopilot, and the present measurement of its rate.
 
-    ``requests`` is how often it was asked for; where the vehicle said that it will not (``refused``) it is not again.
+    Where the vehicle said that it will not (``refused``) it is not asked again.
     """
 
     system: int
     component: int
     name: str
     asked_hz: float
-    measured_hz: float = 0.0
-    requests: int = 0
     refused: bool = False
-    low: bool = _internal(False)
-    arrivals: int = _internal(0)
-    since_ns: int = _internal(0)
-    retry_ns: int = _internal(_FIRST_RETRY_NS)
-    not_before_ns: int = _internal(0)
+    low: bool = False
+    arrivals: int = 0
+    since_ns: int = 0
+    retry_ns: int = _FIRST_RETRY_NS
+    not_before_ns: int = 0
 
     def measure(self, now_ns: int) -> None:
         """Measure the rate where enough time and messages have passed."""
         elapsed_s = (now_ns - self.since_ns) / 1e9
         if elapsed_s < max(_MEASURED_S, _MEASURED_MESSAGES / self.asked_hz):
             return
-        self.measured_hz = self.arrivals / elapsed_s
-        self.low = self.measured_hz < _ENOUGH * self.asked_hz
+        self.low = self.arrivals / elapsed_s < _ENOUGH * self.asked_hz
         if not self.low:
             self.retry_ns, self.not_before_ns = _FIRST_RETRY_NS, 0
         self.restart(now_ns)
@@ -80,8 +73,7 @@ class RequestedRate:
         self.arrivals, self.since_ns = 0, now_ns
 
     def sent(self, now_ns: int) -> None:
-        """Count a request; the next one waits twice as long."""
-        self.requests += 1
+        """Note that it was sent; the next one waits twice as long."""
         self.low = False
         self.not_before_ns = now_ns + self.retry_ns
         self.retry_ns = min(2 * self.retry_ns, _LAST_RETRY_NS)
@@ -93,10 +85,10 @@ class _Vehicle:
     """One vehicle; an acknowledgement does not say which message it is about, so only one request is open at a time."""
 
     component: int
-    requests: dict[str, RequestedRate]
+    requests: dict[str, _Request]
     last_ns: int | None = None
     arrived: bool = False
-    waiting: RequestedRate | None = None
+    waiting: _Request | None = None
     waiting_until_ns: int = 0
 
 
@@ -132,7 +124,7 @@ class RateRequests:
                 raise TelemetryError(f"message rate of {name}: no such MAVLink message; names are like ATTITUDE")
             if not (math.isfinite(rate_hz) and 0.0 < rate_hz <= _LARGEST_HZ):
                 raise TelemetryError(f"message rate of {name}: {rate_hz} is not above 0 and at most {_LARGEST_HZ:g} Hz")
-        requests = {name: RequestedRate(system, component, name, rate_hz) for name, rate_hz in rates.items()}
+        requests = {name: _Request(system, component, name, rate_hz) for name, rate_hz in rates.items()}
         self._vehicles[system] = _Vehicle(component, requests)
 
     def ask_everybody(self, rates: Mapping[str, float], component: int = AUTOPILOT) -> None:
@@ -182,7 +174,7 @@ class RateRequests:
                 packets.append(self._set_interval(request, now_ns))
         return packets
 
-    def _set_interval(self, request: RequestedRate, now_ns: int) -> bytes:
+    def _set_interval(self, request: _Request, now_ns: int) -> bytes:
         message = self._dialect.MAVLink_command_long_message(
             request.system,
             request.component,
@@ -194,14 +186,8 @@ class RateRequests:
         )
         return self._companion.pack(self._ids[0], message, now_ns)
 
-    @property
-    def rates(self) -> tuple[RequestedRate, ...]:
-        """What became of the requests so far."""
-        requests = (request for vehicle in self._vehicles.values() for request in vehicle.requests.values())
-        return tuple(map(replace, requests))
 
-
-def _next_request(vehicle: _Vehicle, now_ns: int) -> RequestedRate | None:
+def _next_request(vehicle: _Vehicle, now_ns: int) -> _Request | None:
     """Measure a vehicle's rates; return the request that is due."""
     # Only when it was just heard: that nothing comes any more is no low rate but silence.
     if not vehicle.arrived:
