@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from gains.identification.segment import Segment
-from monitor.fitting.fit_report import explained_change
+from monitor.fitting.fit_report import explained_change, predict_ahead
 from monitor.vehicles.multirotor.identify import MultirotorFit, identify_multirotor, multirotor_plant
-from monitor.vehicles.multirotor.validation import motor_effect, predict_rates
 
 RATE_HZ = 100.0
 A = np.array([0.98, 0.98, 0.99])
@@ -42,12 +41,12 @@ def model(segments: list[Segment]) -> MultirotorFit:
 
 def test_the_effect_of_commands_is_delayed_and_curved(model: MultirotorFit) -> None:
     u = np.random.default_rng(0).random((50, 4))
-    effect = motor_effect(model, u)
+    effect = model.effect(u)
     v = (1.0 - model.square) * u + model.square * u**2
     count = len(model.taps)
     assert effect.shape == (50 - count, 4)
     assert effect[-1] == pytest.approx(sum(h * v[48 - d] for d, h in enumerate(model.taps)))
-    assert motor_effect(model, u[:count]).shape == (0, 4)
+    assert model.effect(u[:count]).shape == (0, 4)
 
 
 def test_correlated_gusts_leave_more_doubt_than_white_ones() -> None:
@@ -64,12 +63,12 @@ def test_doubt_about_the_motors_widens_the_disturbance_of_the_design(model: Mult
 
 
 def test_predictions_of_unseen_flight_miss_by_the_gusts_alone(model: MultirotorFit) -> None:
-    unseen = [flight(9, 40.0)]
-    one, several = predict_rates(model, unseen, 1), predict_rates(model, unseen, 10)
-    assert one[0].measured - one[0].predicted == pytest.approx(0.0, abs=6 * GUST)
-    assert (one[0].measured - one[0].predicted).std(axis=0) == pytest.approx([GUST] * 3, rel=0.1)
+    unseen = flight(9, 40.0)
+    driven = Segment(model.effect(unseen.u), unseen.y[len(model.taps) - 1 :, :3])
+    one, several = (predict_ahead((np.diag(model.a), model.B[:3], model.c[:3]), driven, steps) for steps in (1, 10))
+    assert one.measured - one.predicted == pytest.approx(0.0, abs=6 * GUST)
+    assert (one.measured - one.predicted).std(axis=0) == pytest.approx([GUST] * 3, rel=0.1)
     grown = GUST * np.sqrt(np.sum(A[:, None] ** (2 * np.arange(10)), axis=1))
-    assert (several[0].measured - several[0].predicted).std(axis=0) == pytest.approx(grown, rel=0.2)
-    assert np.array_equal(several[0].measured, one[0].measured[9:])
-    assert np.all(explained_change(several) > explained_change(one))
-    assert predict_rates(model, [Segment(unseen[0].u[:5], unseen[0].y[:5])], 10) == []
+    assert (several.measured - several.predicted).std(axis=0) == pytest.approx(grown, rel=0.2)
+    assert np.array_equal(several.measured, one.measured[9:])
+    assert np.all(explained_change([several]) > explained_change([one]))

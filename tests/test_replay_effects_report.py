@@ -8,7 +8,8 @@ import pytest
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from gains.plants.plant import Plant
-from monitor.fitting.fit_effects import compare_effects, predict_ahead
+from monitor.fitting.fit_effects import compare_effects
+from monitor.fitting.fit_report import predict_ahead
 
 RATE_HZ = 50.0
 
@@ -39,7 +40,7 @@ def drive(seconds: float, noise: float = 0.0) -> Segment:
 
 
 def test_predictions_are_those_of_the_plant() -> None:
-    before, measured, predicted = predict_ahead(plant(), drive(10.0), 7)
+    before, measured, predicted = predict_ahead((plant().A, plant().B, plant().c), drive(10.0), 7)
     assert predicted == pytest.approx(measured)
     assert np.abs(measured - before).max() > 0.5
 

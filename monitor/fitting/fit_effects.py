@@ -32,7 +32,7 @@ from monitor.fitting.agreement import Agreement, ComparedEffect, FlightEffects, 
 from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.effect_signals import EffectSignals
 from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
-from monitor.fitting.fit_report import Comparison, Prediction, compared, comparison_lines, horizon_samples
+from monitor.fitting.fit_report import Comparison, compared, comparison_lines
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import Calibrated
@@ -63,22 +63,7 @@ def compare_effects(
     except ModelError:
         return None
     _, rest = split_segments(segments(parameters))
-    horizon = horizon_samples(rate_hz)
-    usable = [segment for segment in rest if len(segment.u) > horizon + rate_hz]
-    if not usable:
-        return None
-    one_step = [predict_ahead(plant, segment, 1) for segment in usable]
-    ahead = [predict_ahead(plant, segment, horizon) for segment in usable]
-    return compared(plant.outputs, "outputs", one_step, ahead, rate_hz, SHOWN_S)
-
-
-def predict_ahead(plant: Plant, segment: Segment, steps: int) -> Prediction:
-    """Return outputs when a prediction was made, ``steps`` samples later, and as predicted (N - steps, p) each."""
-    x = segment.y[:-steps]
-    for step in range(steps):
-        u = segment.u[step : len(segment.u) - steps + step]
-        x = x @ plant.A.T + u @ plant.B.T + plant.c
-    return Prediction(segment.y[:-steps], segment.y[steps:], x)
+    return compared(plant.outputs, "outputs", (plant.A, plant.B, plant.c), rest, rate_hz, SHOWN_S)
 
 
 _OBSERVER_HZ = 50.0

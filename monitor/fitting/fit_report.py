@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gains.identification.excitation import ExcitationVerdict
 from gains.identification.residuals import ResidualStatistics, residual_statistics
+from gains.identification.segment import Segment
 from monitor.views.palette import GREY, LIGHT
 from monitor.views.plot_style import picture
 
@@ -150,9 +151,17 @@ class Prediction(NamedTuple):
     predicted: NDArray[np.float64]
 
 
-def horizon_samples(rate_hz: float) -> int:
-    """Return :data:`HORIZON_S` in samples, at least two."""
-    return max(2, round(HORIZON_S * rate_hz))
+LinearModel = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+"""A, B and c of a model x+ = A x + B u + c whose outputs are its states."""
+
+
+def predict_ahead(model: LinearModel, segment: Segment, steps: int) -> Prediction:
+    """Return outputs when a prediction was made, ``steps`` samples later, and as predicted (N - steps, p) each."""
+    A, B, c = model
+    x = segment.y[:-steps]
+    for step in range(steps):
+        x = x @ A.T + segment.u[step : len(x) + step] @ B.T + c
+    return Prediction(segment.y[:-steps], segment.y[steps:], x)
 
 
 def explained_change(predictions: Sequence[Prediction]) -> NDArray[np.float64]:
@@ -163,23 +172,24 @@ def explained_change(predictions: Sequence[Prediction]) -> NDArray[np.float64]:
 
 
 def compared(
-    names: tuple[str, ...],
-    what: str,
-    one_step: Sequence[Prediction],
-    ahead: Sequence[Prediction],
-    rate_hz: float,
-    shown_s: float,
-) -> Comparison:
+    names: tuple[str, ...], what: str, model: LinearModel, segments: Sequence[Segment], rate_hz: float, shown_s: float
+) -> Comparison | None:
     """Return the liveliest seconds of the longest prediction, and statistics of all of them.
 
-    The ``names`` are those of the outputs (p,), ``what`` is predicted, for the title. ``one_step`` and ``ahead`` are
-    predictions of the same stretches, one sample and :func:`horizon_samples` ahead; ``shown_s`` are drawn.
+    The ``names`` are those of the outputs (p,), ``what`` is predicted, for the title. Predictions are made over
+    ``segments`` that are a second longer than the horizon, one sample and :data:`HORIZON_S`, two samples at least,
+    ahead; None where there is none. ``shown_s`` are drawn.
     """
+    horizon = max(2, round(HORIZON_S * rate_hz))
+    usable = [segment for segment in segments if len(segment.u) > horizon + rate_hz]
+    if not usable:
+        return None
+    one_step, ahead = ([predict_ahead(model, segment, steps) for segment in usable] for steps in (1, horizon))
     longest = max(range(len(ahead)), key=lambda i: len(ahead[i].measured))
     _, measured, predicted = ahead[longest]
-    residual = (one_step[longest].measured - one_step[longest].predicted)[horizon_samples(rate_hz) - 1 :]
+    residual = (one_step[longest].measured - one_step[longest].predicted)[horizon - 1 :]
     shown = liveliest(measured, round(shown_s * rate_hz))
-    horizon_s = horizon_samples(rate_hz) / rate_hz
+    horizon_s = horizon / rate_hz
     return Comparison(
         names=names,
         units=tuple("m/s²" if name.endswith("acceleration") else "rad/s" for name in names),

@@ -26,12 +26,10 @@ from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.excitation import fit_excitation
 from monitor.fitting.extremes import ReturnLevel
 from monitor.fitting.fit_report import (
-    HORIZON_S,
     Comparison,
     compared,
     comparison_json,
     comparison_lines,
-    horizon_samples,
 )
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_alarm
 from monitor.fitting.flights import Flight, flight_samples
@@ -76,7 +74,6 @@ from monitor.vehicles.multirotor.trim import (
     smallest_loss,
     usable_segments,
 )
-from monitor.vehicles.multirotor.validation import predict_rates
 from monitor.vehicles.multirotor.voltage import fit_supply
 
 SHOWN_S = 10.0
@@ -96,11 +93,9 @@ def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> C
     except ModelError:
         return None
     unbroken = [segment for kept in rest for segment in kept.unbroken()]
-    usable = [segment for segment in unbroken if len(segment.u) > (HORIZON_S + 1.0) * rate_hz + len(fit.taps)]
-    if not usable:
-        return None
-    one_step, ahead = predict_rates(fit, usable, 1), predict_rates(fit, usable, horizon_samples(rate_hz))
-    return compared(RATE_AXES, "body rates (rad/s)", one_step, ahead, rate_hz, SHOWN_S)
+    driven = [Segment(fit.effect(segment.u), segment.y[len(fit.taps) - 1 :, :3]) for segment in unbroken]
+    model = np.diag(fit.a), fit.B[:3], fit.c[:3]
+    return compared(RATE_AXES, "body rates (rad/s)", model, driven, rate_hz, SHOWN_S)
 
 
 OBSERVER, PROPS, TRIM = "motors", "props", "trim"

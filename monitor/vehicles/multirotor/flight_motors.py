@@ -24,7 +24,6 @@ from monitor.fitting.agreement import (
     with_parts,
 )
 from monitor.vehicles.multirotor.identify import MultirotorFit
-from monitor.vehicles.multirotor.validation import motor_effect
 
 _TRIM, _THRUST, _CHANGE = 0.02, 0.03, 0.03
 """Usual scatter between flights: of the moment that keeps the vehicle level, as a share of half the motors' moments;
@@ -51,7 +50,7 @@ def motor_agreement(
     or propellers that are all worn move the thrust.
     """
     n = len(fit.a)
-    effects = [motor_effect(fit, segment.u) for flight in flights for segment in flight]
+    effects = [fit.effect(segment.u) for flight in flights for segment in flight]
     hover = np.mean(np.concatenate(effects), axis=0)
     moments = 0.5 * np.abs(fit.B[:n] * hover).sum(axis=1)
     out, more = "is out of trim about {} by {{}} of its motors' moment", "commands {{}} {} thrust{}"
@@ -75,7 +74,7 @@ def _rest(fit: MultirotorFit, segments: Sequence[Segment], hover: FloatArray, mo
     n = len(fit.a)
     rows = []
     for segment in segments:
-        w = motor_effect(fit, segment.u)
+        w = fit.effect(segment.u)
         y = segment.y[len(segment.y) - 1 - len(w) :, :n]
         rest = (y[1:] - fit.a * y[:-1] - w @ fit.B[:n].T - fit.c[:n]) / moments
         rows.append(np.column_stack([rest, w.sum(axis=1) / hover.sum() - 1.0]))

@@ -126,6 +126,12 @@ class MultirotorFit:
     residual_std: FloatArray  # one-step prediction error (n,), in the units of y
     samples: int  # number of rows that counted
 
+    def effect(self, u: FloatArray) -> FloatArray:
+        """Return v(k) of commands ``u`` (N, s) for k = L - 1, ..., N - 2, L the number of taps (max(0, N - L), s)."""
+        curved = (1.0 - self.square) * u + self.square * u**2
+        count = max(0, len(u) - len(self.taps))
+        return np.asarray(sum(h * curved[len(self.taps) - 1 - d :][:count] for d, h in enumerate(self.taps)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotorUncertainty:
