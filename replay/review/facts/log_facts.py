@@ -184,7 +184,7 @@ SIGNALS: Mapping[str, str] = {
     "rpm": "speed of each motor as its ESC measured it",
     "attitude": "roll, pitch and yaw",
     "attitude_wanted": "roll, pitch and yaw that the autopilot wanted",
-    "height": "height by the barometer above where the log begins",
+    "height": "height by the barometer above the begin of the log",
     "height_estimate": "the estimator's height",
     "climb": "the estimator's vertical speed, up",
     "climb_wanted": "the vertical speed wanted, up",

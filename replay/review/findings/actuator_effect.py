@@ -9,17 +9,17 @@ _ACTUATORS = "motor", "esc", "prop", "aileron", "elevator", "rudder", "throttle"
 
 
 RULE = Rule(
-    title="An actuator does less than it did",
+    title="An actuator does less than before",
     stage="motion",
-    physics="Motion follows commands as the first 40 s of the flight show: a copter's angular acceleration follows its "
-    "motors, a plane's body rates follow its surfaces times the dynamic pressure, its thrust (forward specific force "
-    "and drag) the throttle, a rover's yaw rate its steering times the speed. An actuator that fails leaves that, "
-    "whatever the autopilot does to hold the vehicle.",
-    evidence="the observer designed from that model raises an alarm of one actuator until the flight ends, or for 12 s",
+    physics="The first 40 s of the flight show how motion follows commands: a copter's angular acceleration follows "
+    "its motors, a plane's body rates follow its surfaces times the dynamic pressure, its thrust (forward specific "
+    "force and drag) the throttle, a rover's yaw rate its steering times the speed. After a failure an actuator no "
+    "longer follows, whatever the autopilot does to hold the vehicle.",
+    evidence="the observer designed from that model raises an alarm of one actuator for 12 s, or until the flight ends",
     counter=(
-        "the same command had another effect before: what was so from the begin is how the vehicle is built",
+        "the same command had another effect before: a difference from the begin on belongs to the vehicle",
         "wind and load move the estimates of all actuators together, hard turns those of one for some seconds",
-        "a size that no actuator can have says that what was learned does not hold, and is not stated",
+        "an impossible size shows that the learned model does not fit, and is not reported",
     ),
     needs=("watch",),
     plots=("motors", "attitude", "airspeed"),

@@ -39,7 +39,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, motors: LogS
         full = [motor for motor, peak in zip(motors.names, peaks.tolist(), strict=True) if peak > FULL]
         yield Judgement(
             span=(start, end),
-            text=f"{name} went up to {most:.0f} degrees from what the autopilot wanted, for {end - start:.1f} s"
+            text=f"{name} was up to {most:.0f} degrees off the wanted value, for {end - start:.1f} s"
             + (f", with {' and '.join(full)} at full command" if full else ""),
             evidence=(
                 f"{attitude.origin} against {wanted.origin}: {most:.0f} degrees apart in {name} from {start:.2f} s on",
@@ -73,20 +73,20 @@ _AGO = 6
 def _high(facts: LogFacts, at_s: float) -> Iterator[str]:
     height = facts.signal("height")
     if height:
-        yield f"{height.origin}: {height.at(np.array([at_s]))[0, 0]:.1f} m above where the log begins"
+        yield f"{height.origin}: {height.at(np.array([at_s]))[0, 0]:.1f} m above the begin of the log"
 
 
 RULE = Rule(
     title="Attitude not followed",
     stage="motion",
-    physics="An autopilot holds roll and pitch within some degrees of what it wants as long as its motors have room. "
-    "Where they do not (a motor lost, a load, a blow), the attitude leaves it.",
-    evidence="30 degrees apart for half a second in flight, while motors were commanded to turn",
+    physics="An autopilot holds roll and pitch within some degrees of the wanted values as long as its motors have "
+    "room. If they have none (a lost motor, a load, a blow), the attitude departs.",
+    evidence="30 degrees off for half a second in flight, while motors were commanded to turn",
     counter=(
-        "motors were commanded to turn until then, more than idle: it was not let fall",
-        f"it is far from all that was wanted over the last {_APART_S:g} s: a vehicle at full sticks is not",
-        "the attitude itself moved: on the ground sticks do, and the vehicle does not",
-        "accelerometers or the barometer show a blow, a fall or a tilt, so far as the log has them",
+        "motors were commanded above idle until then: the autopilot did not drop the vehicle",
+        f"it is far from every value wanted in the last {_APART_S:g} s; with full sticks it would not be",
+        "the attitude itself moved; on the ground only the sticks would",
+        "accelerometers or the barometer show a blow, a fall or a tilt, if the log has them",
     ),
     needs=("attitude", "attitude_wanted", "motors"),
     plots=("attitude", "attitude_wanted", "motors"),

@@ -46,13 +46,13 @@ def _judge(facts: LogFacts, battery: LogSignal) -> Iterator[Judgement]:
 RULE = Rule(
     title="Battery empty",
     stage="supply",
-    physics="Below 3.3 V a cell's voltage collapses under load: motors get less than their commands ask for, and in "
-    "the end the autopilot no power.",
-    evidence="less than 3.3 V for each cell, or what the parameters call empty where that is less, over 3 s of flight",
+    physics="Below 3.3 V a cell's voltage collapses under load: motors deliver less than commanded, and at last "
+    "the autopilot loses power.",
+    evidence="less than 3.3 V for each cell, or less than the parameters call empty, if lower, over 3 s of flight",
     counter=(
-        "the log says that a battery is connected and shows volts, not zero",
+        "the log reports a connected battery and a voltage above zero",
         "a dip under full command passes within seconds",
-        "where the number of cells is a guess it is information alone",
+        "if the number of cells is a guess, this is information only",
     ),
     needs=("battery",),
     plots=("battery", "motors"),

@@ -44,15 +44,15 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
 RULE = Rule(
     title="Commands from a new sender in flight",
     stage="link",
-    physics="MAVLink without signing obeys everybody. An attacker disarms, reboots, changes the mode, rewrites the "
-    "mission or takes safety parameters away; the vehicle does as it is told, and nothing fails.",
+    physics="Without signing a vehicle obeys every sender. An attacker disarms, reboots, changes the mode, rewrites "
+    "the mission or changes safety parameters; the vehicle obeys, and nothing fails.",
     evidence="such a command in flight from ids that had not commanded before take-off; more than "
     f"{FLOOD} commands a second",
     counter=(
         "a second ground station that was switched on in flight looks the same",
-        "on the ground a disarming ends every drive: of vehicles that do not fly it is information alone",
-        "missions and parameters of a ground station come with an answer to each, and slower than a flood",
-        "a sender that uses the ids of the ground station is not seen: signing alone tells it apart",
+        "every drive ends with disarming on the ground: for vehicles that do not fly this is information only",
+        "a ground station sends missions and parameters one by one, with answers, and slower than a flood",
+        "a sender that uses the ids of the ground station is not recognised; only signing would show it",
     ),
     needs=(),
     plots=("height", "motors", "attitude"),

@@ -60,11 +60,11 @@ RULE = Rule(
     title="Descent not followed",
     stage="motion",
     physics="At the least thrust that the autopilot allows (PX4's MPC_THR_MIN, ArduPilot's SPIN_MIN) a light, strong "
-    "vehicle still climbs: it cannot come down, and its landing detector may take that for the ground.",
+    "vehicle still climbs. It cannot descend, and its landing detector may take that for the ground.",
     evidence="a descent wanted for 3 s, motors below their usual command, and the barometer 1 m higher at its end",
     counter=(
         f"an updraft or the end of a climb passes within {_LEAST_S:g} s",
-        "the barometer says so by itself, whatever the estimator believed; rotors disturb it by less",
+        "the barometer alone shows it, independent of the estimator; rotors disturb it by less",
     ),
     needs=("climb_wanted", "height", "motors"),
     plots=("climb_wanted", "height", "motors"),

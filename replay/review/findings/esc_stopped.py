@@ -65,13 +65,13 @@ def _own(thrust: Floats, speed: Floats, during: NDArray[np.bool_], k: int) -> bo
 RULE = Rule(
     title="Motor slower than commanded",
     stage="rpm",
-    physics="Thrust goes with the square of speed and about with command, so speed over the root of the command is the "
-    "same for all motors of a vehicle. A stopped motor or ESC leaves it.",
+    physics="Thrust is proportional to the square of the speed and roughly to the command, so speed over the root of "
+    "the command is equal for all motors of a vehicle, but not for a stopped motor or ESC.",
     evidence="less than 40 % of the usual speed at that command for 0.6 s, in flight",
     counter=(
-        "its command had not been taken to zero, nor to idle: large propellers take seconds to run down to that",
-        "the other motors turned as usual, and were reported: at take-off all run up together",
-        "this ESC turns with this motor's command otherwise, not with another's",
+        "its command was neither zero nor idle; large propellers take seconds to slow down",
+        "the other motors were reported and turned as usual; at take-off all run up together",
+        "at other times this ESC follows this motor's command, and not another's",
     ),
     needs=("rpm", "motors"),
     plots=("rpm", "motors", "attitude"),

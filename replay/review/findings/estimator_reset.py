@@ -33,7 +33,7 @@ def _judge(facts: LogFacts, resets: LogSignal) -> Iterator[Judgement]:
             by = "by up to " if len(late) > 1 else "by "
             yield Judgement(
                 span=(late[0], late[-1]),
-                text=f"the estimator set its {name} anew {len(late)} time{'s' * (len(late) > 1)} in flight"
+                text=f"the estimator reset its {name} {len(late)} time{'s' * (len(late) > 1)} in flight"
                 + (f", {by}{largest:.2g} {unit}" if np.isfinite(largest) else ""),
                 evidence=(f"{resets.origin}: counter of {name} from {late[0]:.1f} s on",),
                 weight="warning" if name in ("position", "height") else "information",
@@ -43,11 +43,11 @@ def _judge(facts: LogFacts, resets: LogSignal) -> Iterator[Judgement]:
 RULE = Rule(
     title="Estimator reset in flight",
     stage="estimator",
-    physics="An estimator that has refused a source for seconds takes it up again by a jump.",
-    evidence="its counter of resets goes up in flight",
+    physics="An estimator that has refused a source for seconds jumps when it accepts the source again.",
+    evidence="its counter of resets increases in flight",
     counter=(
-        f"resets within {_AFTER_S:g} s of take-off are usual, and were left out",
-        "the vehicle was still flown: a fall or stopped motors come before none of them",
+        f"resets within {_AFTER_S:g} s of take-off are usual and are left out",
+        "the vehicle was still controlled: no fall and no stopped motors came before",
     ),
     needs=("resets",),
     plots=("resets", "ratios", "height_estimate"),

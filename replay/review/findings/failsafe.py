@@ -38,11 +38,11 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
 RULE = Rule(
     title="Failsafe announced",
     stage="reaction",
-    physics="The autopilot compares what it measures with limits of its own and acts; that act can be the incident.",
+    physics="The autopilot compares measurements with its own limits and acts; that action can be the incident.",
     evidence="its own statement in flight",
     counter=(
-        "it says what the autopilot saw, which need not be the cause: a finding before it comes first",
-        "those on the ground and after control was lost are left out, but for a crash that is seen once it lies there",
+        "it states what the autopilot saw, which may not be the cause: an earlier finding comes first",
+        "announcements on the ground and after a loss of control are left out, except the detection of a crash",
     ),
     needs=(),
     plots=("attitude", "ratios", "battery"),

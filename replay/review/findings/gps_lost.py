@@ -29,10 +29,10 @@ def _judge(facts: LogFacts, gps: LogSignal) -> Iterator[Judgement]:
 RULE = Rule(
     title="GPS fix lost in flight",
     stage="sensor",
-    physics="Without a fix the estimator goes on by inertia alone, and drifts by metres within seconds.",
-    evidence="no fix of three dimensions for a second in flight, after one",
+    physics="Without a fix the estimator uses inertial sensors only, and drifts by metres within seconds.",
+    evidence="no 3D fix for a second in flight, after there was one",
     counter=(
-        "the estimator used GPS in this flight: where vision or flow is used, a receiver moves nothing",
+        "the estimator used GPS in this flight; with vision or flow the receiver has no effect",
         "it had a fix before",
     ),
     needs=("gps",),

@@ -35,12 +35,12 @@ def _judge(facts: LogFacts, position: LogSignal) -> Iterator[Judgement]:
 RULE = Rule(
     title="GPS repeated a position",
     stage="sensor",
-    physics="A receiver that computes fixes gives another centimetre each time. One that is stuck, or whose last fix "
-    "is sent again and again, holds the estimator where the vehicle no longer is.",
+    physics="Fixes of a working receiver differ by a centimetre each time. A stuck receiver, or a last fix that is "
+    "sent again and again, holds the estimator at an old position.",
     evidence="the same position for 2 s of flight, the next one more than 5 m away",
     counter=(
-        "a receiver may hold its position while a vehicle hovers, but is where it was afterwards",
-        "one that the estimator does not use (vision, flow) moves nothing, but is stuck all the same",
+        "a receiver may hold its position in hover, but then shows no jump afterwards",
+        "if the estimator does not use it (vision, flow), it has no effect, but is stuck all the same",
     ),
     needs=("position",),
     plots=("position", "ratios", "height_estimate"),

@@ -23,17 +23,17 @@ def _judge(facts: LogFacts, ratios: LogSignal) -> Iterator[Judgement]:
             yield Judgement(
                 span=(start, end),
                 text=f"the estimator refused its measurements of {name} for {end - start:.1f} s",
-                evidence=(f"{ratios.origin}: {name} up to {most:.1f} times what it admits, from {start:.1f} s on",),
+                evidence=(f"{ratios.origin}: {name} up to {most:.1f} times its gate, from {start:.1f} s on",),
             )
 
 
 RULE = Rule(
     title="Measurements refused by the estimator",
     stage="estimator",
-    physics="Motion predicted from gyros and accelerometers and measured by GPS or barometer disagree by more than "
-    "their noise: one of the two is wrong.",
+    physics="Motion predicted from gyros and accelerometers differs from GPS or barometer by more than the noise: one "
+    "of the two is wrong.",
     evidence="an innovation beyond its gate for a second in flight",
-    counter=("the vehicle was still flown then: what comes after a fall, a blow or stopped motors is left out",),
+    counter=("the vehicle was still controlled; refusals after a fall, a blow or stopped motors are left out",),
     needs=("ratios",),
     plots=("ratios", "height", "height_estimate"),
     judge=_judge,

@@ -22,7 +22,7 @@ def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Ju
         at = said[-1].time_s
         yield Judgement(
             span=(at, end),
-            text="the landing detector said 'landed' in the air; the motors were stopped and the vehicle fell "
+            text="the landing detector reported 'landed' in the air; the motors were stopped and the vehicle fell "
             f"{fell:.0f} m",
             evidence=(
                 f"landing detector: landed at {at:.2f} s",
@@ -37,11 +37,11 @@ def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Ju
 RULE = Rule(
     title="Landing detected in the air",
     stage="decision",
-    physics="A landing detector that sees low thrust and no vertical motion calls it the ground; autopilots then stop "
-    "the motors. A vehicle that cannot descend at its least thrust looks just so.",
-    evidence="'landed' ahead of all motors at zero, and the barometer falling by 2 m or more within 3 s",
+    physics="A landing detector takes low thrust without vertical motion for the ground, and the autopilot stops the "
+    "motors. A vehicle that cannot descend at its least thrust looks the same.",
+    evidence="'landed' before all motors are at zero, and the barometer falls by 2 m or more within 3 s",
     counter=(
-        "a landing on a roof or a hill looks the same up to the stop, but nothing falls after it",
+        "a landing on a roof or a hill looks the same, but the vehicle does not fall afterwards",
         "the barometer reads higher when rotors stop near the ground, not lower",
     ),
     needs=("motors", "height"),

@@ -60,8 +60,8 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
     if wrong and not sound:
         first = min(wrong.values(), key=lambda alarm: alarm.start_s)
         raise UnjudgedError(
-            f"what the first {learned_s:.0f} s taught does not hold of the flight: from {first.start_s:.0f} s on "
-            f"{first.channel} would be off by more than can be"
+            f"the model learned from the first {learned_s:.0f} s does not fit the rest: from {first.start_s:.0f} s on "
+            f"{first.channel} would have an impossible fault"
         )
     for channel in dict.fromkeys(alarm.channel for alarm in sound):
         every = [alarm for alarm in sound if alarm.channel == channel]
@@ -116,7 +116,7 @@ def _still_carried(facts: LogFacts, alarm: LearnedAlarm, begin_s: float, end_s: 
     now, lacking = lift[-1] / np.median(lift[:-1]), alarm.size / asked[-1]
     # half as much as it would cost, where that is more than it moved by itself
     if lacking > np.ptp(lift[:-1] / np.median(lift[:-1])) and now > 1.0 - lacking / 2:
-        lifted = f"{100 * now:.0f} % of what they did for their commands, not {100 - 100 * lacking:.0f} %"
+        lifted = f"{100 * now:.0f} % of before at these commands, not {100 - 100 * lacking:.0f} %"
         yield f"the motors together lift {lifted}: something from outside turns the vehicle"
 
 
@@ -124,7 +124,7 @@ def _few_satellites(facts: LogFacts, alarm: LearnedAlarm, end_s: float) -> Itera
     """Yield what says that GPS, by whose motion an alarm's gyro or accelerometer is judged, was too poor for it."""
     gps = facts.signal("gps").during(alarm.start_s, end_s)
     if gps and alarm.channel.startswith(("gyro_", "accel_")) and gps.values[:, 1].min() < _SATELLITES:
-        yield f"its receiver was down to {gps.values[:, 1].min():.0f} satellites, and may be what is wrong"
+        yield f"the receiver was down to {gps.values[:, 1].min():.0f} satellites and may be wrong itself"
 
 
 def _faster(facts: LogFacts, alarm: LearnedAlarm) -> Iterator[str]:
@@ -136,7 +136,7 @@ def _faster(facts: LogFacts, alarm: LearnedAlarm) -> Iterator[str]:
     # how fast it was when the observer began to leave zero is not known: an alarm comes seconds later
     now = np.max(pace.during(alarm.start_s - _LEAST_S, alarm.start_s).only, initial=0.0)
     if now > max(FAST_M_S, _FASTER * taught):
-        yield f"it went at {now:.0f} m/s, of which the begin of the flight, at {taught:.0f} m/s and less, says nothing"
+        yield f"it flew at {now:.0f} m/s; the begin of the flight, at most {taught:.0f} m/s, teaches nothing about that"
 
 
 def _overlaps(alarms: Sequence[LearnedAlarm], watch: LearnedWatch, channel: str) -> bool:

@@ -23,7 +23,7 @@ def _judge(facts: LogFacts, height: LogSignal) -> Iterator[Judgement]:
     volts = f"; the last voltage is {battery.values[-1, 0]:.1f} V" if battery else ""
     yield Judgement(
         span=(facts.duration_s, facts.duration_s),
-        text=f"the log ends in the air, {last[-1]:.0f} m above where it begins: power was lost, or recording stopped",
+        text=f"the log ends in the air, {last[-1]:.0f} m above its begin: power was lost, or recording stopped",
         evidence=(f"{height.origin}: {last[-1]:.1f} m at the end, armed and not landed{volts}",),
         confidence="possible",
         weight="information",
@@ -33,9 +33,9 @@ def _judge(facts: LogFacts, height: LogSignal) -> Iterator[Judgement]:
 RULE = Rule(
     title="Log ends in flight",
     stage="supply",
-    physics="An autopilot without power writes nothing more.",
+    physics="An autopilot without power stops writing.",
     evidence="armed, not landed and 3 m high in the last second and a half",
-    counter=("a file that was cut or a recording that was stopped looks the same",),
+    counter=("a cut file or a stopped recording looks the same",),
     needs=("height",),
     plots=("height", "battery"),
     judge=_judge,

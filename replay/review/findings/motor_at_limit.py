@@ -39,7 +39,7 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
             yield Judgement(
                 span=(start, end),
                 text=f"{name} was at full command for {end - start:.1f} s while the others were at {100 * mean:.0f} %: "
-                "it, its ESC or its propeller gives too little",
+                "the motor, its ESC or its propeller delivers too little",
                 evidence=(f"{motors.origin}: {name} above {FULL:.2f}, median of the others {mean:.2f}",),
                 weight="critical",
             )
@@ -59,16 +59,16 @@ def _turned_deg(facts: LogFacts, before_s: float) -> float:
 
 
 RULE = Rule(
-    title="One motor at its most",
+    title="One motor at full command",
     stage="motion",
-    physics="The autopilot gives the motor that lifts too little more and more command, until there is no more.",
-    evidence="one motor at 95 % or more for a second, the others' median 25 % of full command lower",
+    physics="The autopilot raises the command of a motor that lifts too little, up to full command.",
+    evidence="one motor at 95 % or more for a second, with the others' median 25 % of full command lower",
     counter=(
-        "a hard climb takes all motors up; a turn in yaw, or what holds the vehicle, the two that turn the same way: "
-        "no other motor was nearer to this one than to the rest",
-        f"it had turned about the vertical by no more than {_TURN_DEG:g} degrees in the second before",
-        f"no more than {_STEEP_DEG:g} degrees of tilt were wanted, and its receiver moved by no more than {FAST_M_S:g} "
-        "m/s: in a dash the air turns the vehicle, too",
+        "a hard climb raises all motors; a turn in yaw, or contact with an obstacle, raises the two that turn the same "
+        "way: here no other motor was nearer to this one than to the rest",
+        f"the vehicle had yawed by no more than {_TURN_DEG:g} degrees in the second before",
+        f"no more than {_STEEP_DEG:g} degrees of tilt were wanted, and GPS speed was no more than {FAST_M_S:g} m/s: in "
+        "a dash the air turns the vehicle too",
     ),
     needs=("motors",),
     plots=("motors", "attitude", "rpm"),

@@ -30,7 +30,7 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
             yield Judgement(
                 span=(start, end),
                 text=f"{name} was commanded to stop for {end - start:.1f} s while the others were at "
-                f"{100 * mean:.0f} %: the autopilot took it out",
+                f"{100 * mean:.0f} %: the autopilot stopped it",
                 evidence=(f"{motors.origin}: {name} below {STOPPED:g}, the others at {mean:.2f}", *said),
                 confidence="certain" if marked else "likely",
                 weight="critical",
@@ -40,11 +40,11 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
 RULE = Rule(
     title="One motor commanded to stop",
     stage="command",
-    physics="Autopilots stop a motor whose ESC reports a failure, or for a test of failures (PX4's failure injection).",
+    physics="Autopilots stop a motor whose ESC reports a failure, or to test failures (PX4's failure injection).",
     evidence="one command at zero for 1.5 s, or marked as stopped, while the others carry the vehicle",
     counter=(
-        "its command is zero: a motor that fails by itself gets more, not less",
-        "outputs that drive nothing never move; a saturated mixer lets go within half a second",
+        "its command is zero: a motor that fails by itself gets more command, not less",
+        "outputs without a motor never move; a saturated mixer recovers within half a second",
     ),
     needs=("motors",),
     plots=("motors", "attitude", "rpm"),

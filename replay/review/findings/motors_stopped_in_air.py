@@ -22,7 +22,7 @@ def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Ju
             for statement in near
             if statement.kind in ("kill", "failsafe") or (statement.kind == "arming" and not statement.level)
         ]
-        why = f": {causes[0].text}" if causes else ", and the log does not say why"
+        why = f": {causes[0].text}" if causes else ", for a reason that the log does not state"
         yield Judgement(
             span=(min([start, *(cause.time_s for cause in causes)]), end),
             text=f"all motors were commanded to stop in the air{why}; the vehicle fell {fell:.0f} m",
@@ -41,7 +41,7 @@ RULE = Rule(
     stage="command",
     physics="A kill switch, a disarming, a termination or a crash detector takes all commands to zero, and the "
     "vehicle falls.",
-    evidence="all motors at zero for 0.4 s or longer after they turned, the barometer falling by 2 m within 3 s",
+    evidence="all motors at zero for 0.4 s or longer after they turned, and the barometer falls by 2 m within 3 s",
     counter=(
         "no landing was detected before it, and the barometer falls",
         "the commands themselves are zero: no motor failed",

@@ -23,7 +23,7 @@ def _judge(facts: LogFacts, apart: LogSignal) -> Iterator[Judgement]:
         during = apart.during(start, end).only
         yield Judgement(
             span=(start, end),
-            text=f"the autopilot flew by a position up to {during.max():.0f} m from the one that it estimated, "
+            text=f"the autopilot controlled a position up to {during.max():.0f} m off its own estimate "
             f"for {end - start:.1f} s: something inside it altered the position",
             evidence=(
                 f"{apart.origin}: {during[0]:.1f} m apart at {start:.1f} s, {np.median(during):.1f} m in the middle",
@@ -36,13 +36,13 @@ def _judge(facts: LogFacts, apart: LogSignal) -> Iterator[Judgement]:
 RULE = Rule(
     title="Position altered inside the autopilot",
     stage="decision",
-    physics="A controller takes its position from the estimator, as it is. Where the two are metres apart, something "
-    "between them changes it: an attack on the autopilot's program, or a fault of it. The sensors agree with each "
-    "other all the while, and the estimator with them; the vehicle goes astray.",
-    evidence=f"{_APART_M} m between what the controller flies by and each lane of the estimator, for a second",
+    physics="A controller uses the position of the estimator unchanged. If the two differ by metres, something between "
+    "them changes it: an attack on the autopilot's program, or a fault of it. Sensors and estimator agree all the "
+    "time, but the vehicle goes astray.",
+    evidence=f"{_APART_M} m between the controller's position and each lane of the estimator, for a second",
     counter=(
         "a reset of the estimator and a change of its lane reach the controller within a tenth of a second",
-        "a GPS that is led away takes the estimate along: then both agree, and this does not show",
+        "a spoofed GPS takes the estimate along: both agree then, and this finding does not appear",
     ),
     needs=("position_apart",),
     plots=("position_apart", "position", "ratios"),

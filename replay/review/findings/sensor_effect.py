@@ -21,13 +21,13 @@ information: its error goes with the heading, of which 40 s show a few (14 degre
 RULE = Rule(
     title="A sensor disagrees with the others",
     stage="sensor",
-    physics="GPS, barometer, compass, gyros and accelerometers are tied by kinematics: what one says beside the others "
-    "is estimated, with the noise of the flight's own first 40 s.",
-    evidence="the observer raises an alarm of one sensor until the flight ends, or for 12 s; of GPS "
-    "and barometer at 3 times its threshold",
+    physics="Kinematics connect GPS, barometer, compass, gyros and accelerometers: the deviation of one from the "
+    "others is estimated, with the noise of the flight's own first 40 s.",
+    evidence="the observer raises an alarm of one sensor for 12 s, or until the flight ends; for GPS and barometer "
+    "at 3 times the threshold",
     counter=(
-        "it agreed with the other sensors over the begin of the flight, and they agree with each other meanwhile",
-        "wind that the begin did not have moves estimates of GPS: up to 2.5 m, its own accuracy, is no finding",
+        "it agreed with the other sensors at the begin of the flight, and those agree with each other now",
+        "new wind moves the estimates of GPS: up to 2.5 m, its own accuracy, is no finding",
     ),
     needs=("watch",),
     plots=("height", "height_estimate", "ratios"),

@@ -40,12 +40,12 @@ def _judge(facts: LogFacts, attitude: LogSignal, _: LogSignal) -> Iterator[Judge
 RULE = Rule(
     title="Turned over",
     stage="motion",
-    physics="With a motor or a propeller gone, or with a wrong attitude, a multirotor tumbles within a second.",
+    physics="Without a motor or a propeller, or with a wrong attitude, a multirotor tumbles within a second.",
     evidence="100 degrees from level for 0.3 s in flight",
     counter=(
         "its motors had not been commanded to stop before",
-        "flips in acro modes, after which it flies on, are information alone",
-        "where an estimator errs there is no blow, no fall, and the accelerometer along the rotors does not hang",
+        "flips in acro modes, after which it flies on, are information only",
+        "if only the estimator were wrong, there would be no blow, no fall, and no acceleration of hanging upside down",
     ),
     needs=("attitude", "motors"),
     plots=("attitude", "motors", "height"),

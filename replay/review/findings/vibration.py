@@ -53,10 +53,10 @@ def _clipped(facts: LogFacts) -> float:
 RULE = Rule(
     title="Strong vibration",
     stage="sensor",
-    physics="Vibration beyond an accelerometer's range is cut off on one side more than on the other: the estimator "
-    "sees an acceleration that is not there, in height first.",
+    physics="Vibration beyond an accelerometer's range is clipped more on one side than on the other: the estimator "
+    "sees a false acceleration, first in height.",
     evidence="the autopilot's own level beyond its documented limit in a fifth of the flight, or 100 clipped samples",
-    counter=("landings, blows and falls are left out", "where little is clipped it is information alone"),
+    counter=("landings, blows and falls are left out", "with little clipping it is information only"),
     needs=("vibration",),
     plots=("vibration", "clipping", "acceleration"),
     judge=_judge,
