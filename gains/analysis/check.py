@@ -46,7 +46,9 @@ def check_text(check: Check) -> str:
         if not check.estimability.complete:
             lines += _entries("", ["(there may be more: the search was stopped)"])
         if check.sensors:
-            lines += _entries("mend", [f"one more sensor, of {_or(check.sensors)}, makes all estimable together"])
+            lines += _entries(
+                "mend", [f"one more sensor, of {_listed(check.sensors, 'or')}, makes all estimable together"]
+            )
         elif len(check.explanations) > 1:
             lines += _entries("mend", ["no single additional sensor makes all estimable together"])
     pairs = [
@@ -56,8 +58,10 @@ def check_text(check: Check) -> str:
     ]
     lines += _entries("pairs", _capped(pairs, "pair"))
     if check.late:
-        lines += _entries("seen late", [f"{_and(check.late)}: not in the first sample after it acts"])
-    zeros = [f"{_and((*zero.faults, *zero.states))} move unseen together: {mode_text(zero.s)}" for zero in check.zeros]
+        lines += _entries("seen late", [f"{_listed(check.late)}: not in the first sample after it acts"])
+    zeros = [
+        f"{_listed((*zero.faults, *zero.states))} move unseen together: {mode_text(zero.s)}" for zero in check.zeros
+    ]
     lines += _entries("hidden", _capped(zeros, "motion"))
     return "\n".join([*lines, *_structure(check)]) + "\n"
 
@@ -65,7 +69,7 @@ def check_text(check: Check) -> str:
 def sentence(explanation: Explanation, plant: Plant) -> str:
     """Return why a set of faults cannot be estimated, and what mends it."""
     problem = explanation.problem
-    faults, states = _and(problem.faults), _and(problem.states)
+    faults, states = _listed(problem.faults), _listed(problem.states)
     number = len(problem.faults)
     if problem.condition == "hidden mode":
         why = f"{states} shows in no output although {_noun(problem.mode)} there does not decay"
@@ -92,9 +96,9 @@ def _mend(explanation: Explanation) -> str:
             and explanation.problem.states[0] in explanation.sensors
             and explanation.problem.condition.startswith("detect")
         )
-        mends.append("add one" if plain else f"add a sensor of {_or(explanation.sensors)}")
+        mends.append("add one" if plain else f"add a sensor of {_listed(explanation.sensors, 'or')}")
     if explanation.leak:
-        on = "" if len(explanation.problem.states) == 1 else f" in {_and(explanation.leak)}"
+        on = "" if len(explanation.problem.states) == 1 else f" in {_listed(explanation.leak)}"
         mends.append(f"a leak of 1/60 s{on}")
     if not mends:
         return "leave one out" if len(explanation.problem.faults) > 1 else "leave it out or model it otherwise"
@@ -105,7 +109,7 @@ def _missing(explanation: Explanation) -> str:
     if explanation.shown_elsewhere:
         return "the other sensors do not settle it"
     states = explanation.problem.states
-    return f"no other {states[0]} sensor" if len(states) == 1 else f"no other sensor of {_and(states)}"
+    return f"no other {states[0]} sensor" if len(states) == 1 else f"no other sensor of {_listed(states)}"
 
 
 def _noun(s: complex) -> str:
@@ -164,15 +168,7 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _and(names: Sequence[str]) -> str:
-    return _joined(names, "and")
-
-
-def _or(names: Sequence[str]) -> str:
-    return _joined(names, "or")
-
-
-def _joined(names: Sequence[str], word: str) -> str:
+def _listed(names: Sequence[str], word: str = "and") -> str:
     return f" {word} ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 

@@ -315,7 +315,8 @@ class AlarmDesk:
                 gone = replace(event, state="cleared", time_ns=now_ns, message="a later alarm took its place")
                 published.append(self._numbered(gone))
         for name, until in shelved.items():
-            key = _key_of(name)
+            observer, _, channel = name.partition("/")
+            key = observer, channel
             if key not in known and until > now_ns:
                 self._shelved.setdefault(key, min(until, now_ns + MAX_SHELVE_NS))
         for key, event in known.items():
@@ -483,11 +484,6 @@ def _by(what: str, fields: Mapping[str, object]) -> str:
         + (f" by {by}" if isinstance(by, str) and by else "")
         + (f": {reason}" if isinstance(reason, str) and reason else "")
     )
-
-
-def _key_of(name: str) -> ChannelKey:
-    observer, _, channel = name.partition("/")
-    return observer, channel
 
 
 def _text(key: ChannelKey) -> str:
