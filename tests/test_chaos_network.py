@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import jsonschema
 import pytest
 from chaos import Sufferer
 from chaos_run import (
@@ -13,6 +14,8 @@ from chaos_run import (
     name_of,
     suffer,
 )
+
+from monitor.bus.schemas import SCHEMAS
 
 STOP_S = 15.0
 SYSTEMS = {"none": 1, "loss": 2, "duplicates": 3, "own numbers": 4, "silence": 6}
@@ -45,7 +48,9 @@ def test_only_silence_is_called_silence_while_it_lasts(run: Run) -> None:
         assert [event.state for event in own] == ["raised", "cleared", "raised"][0 if what == "silence" else 2 :]
 
 
-def test_statuses_say_what_was_lost(run: Run) -> None:
+def test_statuses_are_as_published_and_say_what_was_lost(run: Run) -> None:
+    for status in run.monitor.statuses.values():
+        jsonschema.validate(status, SCHEMAS["status"])
     observers = {what: run.monitor.statuses[name_of(system)]["observers"] for what, system in SYSTEMS.items()}
     motors = {what: found["motors"] for what, found in observers.items()}
     assert motors["none"]["duplicates"] == motors["none"]["skipped"] == 0

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -14,10 +15,12 @@ from typing import Any
 
 import pytest
 from loopback import free_port
+from packet_edit import readdressed
 
 import fauio
 from adapters.logs.recordings import read_recording
 from adapters.logs.tlog import TlogReader
+from adapters.simulation.pacing import paced
 from adapters.zenoh.zenoh_session import open_session
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.event import AlarmEvent
@@ -42,7 +45,8 @@ class RunningDaemon:
 
     def __init__(self, folder: Path, profile: Path, extra: str) -> None:
         self.folder = folder
-        self.senders: list[subprocess.Popen[bytes]] = []
+        self.senders: list[threading.Thread] = []
+        self.closed = threading.Event()
         self.udp = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.metrics = f"127.0.0.1:{free_port()}"
@@ -79,15 +83,15 @@ class RunningDaemon:
         with urllib.request.urlopen(f"http://{self.metrics}{path}", timeout=10) as answer:
             return str(answer.read().decode())
 
-    def send(self, log: Path, system: int, speed: float = 2.0) -> subprocess.Popen[bytes]:
-        command = [sys.executable, __file__, str(log), self.udp, str(system), str(speed)]
-        self.senders.append(subprocess.Popen(command))
+    def send(self, log: Path, system: int) -> threading.Thread:
+        self.senders.append(threading.Thread(target=relay, args=(log, self.udp, system, self.closed)))
+        self.senders[-1].start()
         return self.senders[-1]
 
     def close(self) -> None:
+        self.closed.set()
         for sender in self.senders:
-            sender.kill()
-            sender.wait()
+            sender.join()
         self.session.close()
         self.process.kill()
         self.process.wait()
@@ -167,7 +171,7 @@ def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
     assert shelved["event"]["state"] == "shelved"
     assert "motors/motor3" in daemon.status("vehicle-7")["shelved"]
     for sender in senders:
-        assert sender.wait(PATIENCE_S) == 0
+        sender.join(PATIENCE_S)
     until(lambda: daemon.status("first")["state"] == "stale")
     rest = collect(subscriber, lambda found: sum(event.kind == "stale" for event in found) >= 2)
     assert not raised(rest)
@@ -223,7 +227,7 @@ def test_a_reload_changes_thresholds_without_losing_a_sample_and_a_wrong_one_cha
         daemon.process.send_signal(signal.SIGHUP)
         until(lambda: daemon.logged("reloaded"))
         until(lambda: "second" in subscriber.live)
-        assert sender.wait(PATIENCE_S) == 0
+        sender.join(PATIENCE_S)
         status = until(lambda: (found := daemon.status("first"))["state"] == "stale" and found)
         motors = status["observers"]["motors"]
         assert (motors["skipped"], motors["restarts"], motors["incomplete"]) == (0, 1, 0)
@@ -231,26 +235,11 @@ def test_a_reload_changes_thresholds_without_losing_a_sample_and_a_wrong_one_cha
         daemon.close()
 
 
-def relay(log: str, address: str, system: int, speed: float) -> None:
-    """Send a log under another system id, paced."""
-    from pymavlink.generator.mavcrc import x25crc
-
-    from adapters.mavlink.mavlink_message import mavlink_types, message_number
-    from adapters.simulation.pacing import paced
-
-    host, _, port = address.rpartition(":")
-    types = mavlink_types()
+def relay(log: Path, address: str, system: int, closed: threading.Event) -> None:
+    """Send a log under another system id, twice as fast as it was flown."""
+    host, port = address.split(":")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        for packet in paced(TlogReader(Path(log)).packets(), speed):
-            version_2 = packet[0] == 0xFD
-            changed = bytearray(packet)
-            changed[5 if version_2 else 3] = system
-            end = (10 if version_2 else 6) + packet[1]
-            extra = bytes([types[message_number(packet)].extra])
-            crc = x25crc(bytes(changed[1:end]) + extra).crc
-            changed[end : end + 2] = crc.to_bytes(2, "little")
-            out.sendto(changed, (host, int(port)))
-
-
-if __name__ == "__main__":
-    relay(sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4]))
+        for number, packet in enumerate(paced(TlogReader(log).packets(), 2.0)):
+            if closed.is_set():
+                return
+            out.sendto(readdressed(packet, system, number % 256), (host, int(port)))

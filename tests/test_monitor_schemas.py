@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import json
-import socket
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import zenoh
 from jsonschema import Draft202012Validator
-from loopback import event, free_port
+from loopback import event
 from test_monitor_recorder import LAYOUT, estimates
 
 import fauio
-from adapters.zenoh.zenoh_session import open_session
 from monitor.bus.payload import estimate_json, to_json
 from monitor.bus.schemas import SCHEMAS, schema_text
-from monitor.profile import Profile
 
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "docs/schemas"
@@ -66,22 +60,6 @@ def test_alarm_events_are_as_published() -> None:
 )
 def test_a_command_names_one_alarm(request_body: dict[str, Any], right: bool) -> None:
     assert valid("command_request", to_json(request_body)) is right
-
-
-def test_the_status_of_a_real_daemon_is_as_published(arm_profile: Profile, tmp_path: Path) -> None:
-    for name, content in arm_profile.files.items():
-        (tmp_path / name).write_bytes(content)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        udp = f"udpin:127.0.0.1:{probe.getsockname()[1]}"
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    command = [sys.executable, "-m", "fauio", "run", str(tmp_path), "--mavlink", udp, "--listen", endpoint]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as daemon, open_session(connect=[endpoint]) as session:
-        try:
-            with session.declare_subscriber("fauio/*/status", zenoh.handlers.RingChannel(4)) as statuses:
-                assert valid("status", bytes(statuses.recv().payload))
-        finally:
-            daemon.terminate()
 
 
 def test_estimates_are_as_published() -> None:

@@ -102,7 +102,7 @@ def test_alarms_of_one_log_are_those_of_the_contract_and_of_several_say_their_lo
     ]
 
 
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_results_go_to_a_pipe_while_progress_goes_to_the_terminal(flight: str, count: int) -> None:
     terminal, theirs = os.openpty()
     shown: list[bytes] = []
