@@ -314,6 +314,8 @@ class Pipeline:
         """Return the events that the first message of a segment causes before its measurements are looked at."""
         now_ns, vehicle_ns = message.received_ns, self._clock.newest_ns
         was_grounded = self._phase.grounded
+        if self._phase.armed and self._flies():
+            self._flown_ns = now_ns
         self._phase.feed(message)
         self._compare_commands(was_grounded, now_ns)
         events = [*self._close_at_landing(now_ns), *self._silence(now_ns)]
@@ -321,8 +323,6 @@ class Pipeline:
         events += self._contradict(now_ns)
         if message.name in self._wanted:
             events += self._stale.follow(now_ns, vehicle_ns)
-        if self._phase.armed and self._flies():
-            self._flown_ns = now_ns
         return events
 
     def _command(self, message: Message) -> list[AlarmEvent]:
