@@ -35,8 +35,13 @@ WAITING = (
     "test_monitor_operator_client.py",
 )
 """Tests of daemons and networks, the longest first: they wait in real time and leave the processor to others."""
+SYSTEM = ("test_console.py", "test_replay_report_page.py")
+"""Hold system tests alone."""
 FITS = "test_flights.py"
 """Begins with the fit that many other files need."""
+
+# Collecting makes hardly any garbage, and much that is searched for it.
+gc.disable()
 
 # A shell starts what runs in the background deaf to Ctrl-C, and so would be every process that a test interrupts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -68,6 +73,12 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
+    gc.enable()
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files of system tests where these are not asked for: their imports take a third of a second."""
+    return True if collection_path.name in SYSTEM and "not system" in config.option.markexpr else None
 
 
 @pytest.hookimpl(wrapper=True)

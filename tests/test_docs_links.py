@@ -4,6 +4,7 @@ import argparse
 import re
 import shutil
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,6 @@ from gains.plants.model_file import read_plant
 from monitor.profile import read_profile
 
 ROOT = Path(__file__).parents[1]
-GENERATED = {f"docs/{place}": render() for place, render in PAGES.items()}
 FOLDERS = ("docs", "examples")
 WRITTEN = {
     str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
@@ -29,9 +29,19 @@ WRITTEN = {
         *(one for folder in FOLDERS for one in sorted((ROOT / folder).rglob("*.md"))),
     )
 }
-TEXTS = WRITTEN | GENERATED
 PROFILE = ROOT / "replay/data/quad"
 MODEL = ROOT / "gains/models/arm-disturbed.toml"
+
+
+@cache
+def generated() -> dict[str, str]:
+    return {f"docs/{place}": render() for place, render in PAGES.items()}
+
+
+@cache
+def texts() -> dict[str, str]:
+    """Return all pages of the site, those that people wrote and those that are made from the code."""
+    return WRITTEN | generated()
 
 
 def anchors(text: str) -> set[str]:
@@ -45,32 +55,30 @@ def anchors(text: str) -> set[str]:
 def lost(page: str, target: str) -> str | None:
     """Return what is wrong with a link of a page, None where it leads somewhere."""
     path, anchor = resolved(page, target)
-    if path not in TEXTS and not (ROOT / path).exists():
+    if path not in texts() and not (ROOT / path).exists():
         return f"{target}: no such file"
-    if anchor and path in TEXTS and anchor not in anchors(TEXTS[path]):
+    if anchor and path in texts() and anchor not in anchors(texts()[path]):
         return f"{target}: no such heading"
     is_in_docs = page.startswith("docs/") and path.startswith("docs/")
-    if is_in_docs and path not in TEXTS and not (ROOT / path).is_file():
+    if is_in_docs and path not in texts() and not (ROOT / path).is_file():
         return f"{target}: a folder below docs has no page"
     return None
 
 
 def keys_of(page: str, section: str) -> set[str]:
     """Return the keys that a section of a generated page documents, without those of tables further inside."""
-    part = GENERATED[f"docs/reference/{page}.md"].split(f"\n{section}\n", 1)[1].split("\n## ")[0]
+    part = generated()[f"docs/reference/{page}.md"].split(f"\n{section}\n", 1)[1].split("\n## ")[0]
     cells = [line.split(" | ")[0] for line in part.splitlines() if line.startswith("| `")]
     return {key for cell in cells for key in re.findall(r"`([^`.]+)`", cell)}
 
 
-@pytest.mark.parametrize("page", TEXTS)
-def test_every_relative_link_leads_to_a_file_and_a_heading(page: str) -> None:
-    inside = [target for target in link_targets(TEXTS[page]) if not is_outside_link(target)]
-    assert [found for target in inside if (found := lost(page, target))] == []
-
-
-@pytest.mark.parametrize("page", TEXTS)
-def test_no_page_names_a_place_where_the_site_would_be_hosted(page: str) -> None:
-    assert not [target for target in link_targets(TEXTS[page]) if target.startswith("/")]
+def test_every_relative_link_leads_to_a_file_and_a_heading() -> None:
+    links = [(page, target) for page, text in texts().items() for target in link_targets(text)]
+    assert len(links) > 200
+    inside = [(page, target) for page, target in links if not is_outside_link(target)]
+    assert [f"{page}: {found}" for page, target in inside if (found := lost(page, target))] == []
+    # no page names a place where the site would be hosted
+    assert [f"{page}: {target}" for page, target in links if target.startswith("/")] == []
 
 
 def test_links_in_code_are_no_links() -> None:
@@ -141,11 +149,11 @@ def test_the_reference_has_the_keys_that_a_model_takes(section: str, table_name:
 
 
 def test_the_reference_names_every_command_option_and_exit_status() -> None:
-    page = GENERATED["docs/reference/commands.md"]
+    page = generated()["docs/reference/commands.md"]
     (commands,) = (one for one in fauio.build_parser()._actions if isinstance(one, argparse._SubParsersAction))
     for name, parser in commands.choices.items():
         part = page.split(f"\n## fauio {name}\n", 1)[1].split("\n## ")[0]
         options = {option for action in parser._actions for option in action.option_strings} - {"-h", "--help"}
         assert [option for option in options if option not in part] == []
-    statuses = GENERATED["docs/reference/exit-status.md"]
+    statuses = generated()["docs/reference/exit-status.md"]
     assert [status for status in (0, 2, 3, 4, fauio.INTERRUPTED) if f"| `{status}` |" not in statuses] == []

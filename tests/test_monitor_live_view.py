@@ -11,14 +11,12 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 import pytest
-import rerun as rr
 from loopback import free_port, until
-from rerun.chunk import RrdReader
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, estimates, event
 
 from adapters.batch import pack
@@ -31,6 +29,9 @@ from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.views.live_buffer import VehicleView
 from monitor.views.live_view import LiveView, rerun_binary
+
+if TYPE_CHECKING:
+    from rerun.chunk import RrdReader
 
 EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
 
@@ -64,6 +65,8 @@ def reader(path: Path) -> RrdReader:
     with warnings.catch_warnings():
         # a stream that was not finished has no footer
         warnings.simplefilter("ignore")
+        from rerun.chunk import RrdReader
+
         return RrdReader(path)
 
 
@@ -74,6 +77,8 @@ def blueprint_text(path: Path) -> str:
 
 def finished(path: Path) -> bool:
     """Return whether a receiver has come to the end of its input and has written its file with a footer."""
+    from rerun.chunk import RrdReader
+
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
@@ -268,6 +273,8 @@ def test_a_flight_with_a_motor_fault_shows_its_thresholds_and_its_alarm(
     until(lambda: finished(receiver))
     assert live.dropped == 0
     found = tables(receiver)
+    import rerun as rr
+
     root = f"/{rr.escape_entity_path_part(pipeline.vehicle)}"
     assert [text for [text] in found[f"{root}/log"]["TextLog:text"]] == [
         f"{alarm.channel} {alarm.state}: {alarm.message}" for alarm in said

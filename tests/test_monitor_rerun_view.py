@@ -6,19 +6,20 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
-import rerun as rr
-from rerun.chunk import RrdReader
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, trace
 
 from monitor.trace import TraceBuilder
 from monitor.views.panels import RunView
 from monitor.views.rerun_view import write_rrd
 from monitor.views.way import Way
+
+if TYPE_CHECKING:
+    from rerun.chunk import RrdReader
 
 EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
 
@@ -32,10 +33,16 @@ def table(chunk: Any) -> dict[str, Any]:
     }
 
 
+def reader(path: Path) -> RrdReader:
+    from rerun.chunk import RrdReader
+
+    return RrdReader(path)
+
+
 def columns(path: Path, entity: str) -> dict[str, Any]:
     """Return an entity's columns, static ones beside those over time."""
     found: dict[str, Any] = {}
-    for chunk in RrdReader(path).stream():
+    for chunk in reader(path).stream():
         if chunk.entity_path == entity:
             found |= table(chunk)
     return found
@@ -59,6 +66,8 @@ def two_observers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_series_is_there_by_name_on_both_time_lines(written: Path) -> None:
+    import rerun as rr
+
     run = trace()
     fault = columns(written, "/motors/fault")
     assert fault["SeriesLines:names"] == [[f"{name} (% of full thrust)" for name in LAYOUT.faults]]
@@ -120,7 +129,7 @@ def test_an_alarm_that_stands_at_the_end_is_shown_to_the_end(tmp_path: Path) -> 
 
 
 def test_no_colour_is_lost_on_a_dark_or_a_light_ground(written: Path) -> None:
-    for chunk in RrdReader(written).stream():
+    for chunk in reader(written).stream():
         colours = table(chunk).get("SeriesLines:colors") or [[]]
         for colour in colours[0] or ():
             red, green, blue = colour >> 24, colour >> 16 & 255, colour >> 8 & 255
@@ -144,11 +153,11 @@ def test_alarms_are_states_that_end_and_lines_of_text(written: Path) -> None:
 
 
 def blueprint_text(path: Path) -> str:
-    [blueprint] = RrdReader(path).blueprints()
+    [blueprint] = reader(path).blueprints()
     assert blueprint.application_id == "fauio"
     return " ".join(
         str(value)
-        for chunk in RrdReader(path).stream(store=blueprint)
+        for chunk in reader(path).stream(store=blueprint)
         for column in table(chunk).values()
         for value in column
     )
@@ -173,9 +182,9 @@ def test_the_tab_of_the_first_alarm_is_open_and_observers_without_samples_have_n
     run = trace()
     both = [replace(run, layout=STANDBY), run, TraceBuilder(replace(LAYOUT, observer="blind")).build()]
     write_rrd(tmp_path / "run.rrd", RunView(both, EVENTS, BOTH_THRESHOLDS))
-    reader = RrdReader(tmp_path / "run.rrd")
-    [blueprint] = reader.blueprints()
-    containers = [(chunk.entity_path, table(chunk)) for chunk in reader.stream(store=blueprint)]
+    recording = reader(tmp_path / "run.rrd")
+    [blueprint] = recording.blueprints()
+    containers = [(chunk.entity_path, table(chunk)) for chunk in recording.stream(store=blueprint)]
     names = {path: found.get("ContainerBlueprint:display_name") for path, found in containers}
     [active] = [found["ContainerBlueprint:active_tab"] for _, found in containers if _active(found)]
     assert names[f"/{active[0][0].strip('/')}"] == [["motors"]]
@@ -189,7 +198,7 @@ def _active(found: dict[str, Any]) -> bool:
 def test_a_run_without_samples_events_or_observers_is_written_too(tmp_path: Path) -> None:
     write_rrd(tmp_path / "empty.rrd", RunView([TraceBuilder(LAYOUT).build()], [], THRESHOLDS))
     write_rrd(tmp_path / "nothing.rrd", RunView([], EVENTS, {}))
-    assert RrdReader(tmp_path / "empty.rrd").blueprints() != []
+    assert reader(tmp_path / "empty.rrd").blueprints() != []
     assert columns(tmp_path / "nothing.rrd", "/log")["TextLog:level"] != []
 
 
