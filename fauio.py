@@ -307,7 +307,7 @@ class _Parser(argparse.ArgumentParser):
         if unknown:
             first = unknown[0].partition("=")[0]
             if not first.startswith("-"):
-                self.error(f"'{first}' is one argument too many")
+                self.error(f"'{first}' is an argument too many")
             self.error(f"{first}: no such option{_meant(first, self._option_string_actions)}")
         return namespace, unknown
 

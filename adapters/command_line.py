@@ -39,7 +39,7 @@ def finite(text: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"'{text}' is no finite number; write it without a unit, like 12.5")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number; write it without a unit, like 12.5")
     return number
 
 

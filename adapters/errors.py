@@ -77,7 +77,7 @@ class InfeasibleError(FauioError):
 
 
 class InaccurateError(InfeasibleError):
-    """The solver returned gains, or nothing, but no certificate confirms them: they are not for use."""
+    """The solver returned gains, or nothing, but no certificate confirms them: they must not be used."""
 
 
 class TelemetryError(FauioError):

@@ -18,7 +18,7 @@ _IN_PLACE_ONLY = (errno.EACCES, errno.EPERM, errno.EBUSY)
 def check_suffix(path: Path, suffix: str) -> None:
     """Raise UsageError where a file's name says that it holds something else than what is written to it."""
     if path.suffix and path.suffix.lower() != suffix and not path.is_dir():
-        raise UsageError(f"{path}: would hold {suffix[1:].upper()}; name it {path.with_suffix(suffix)}")
+        raise UsageError(f"{path}: the format is {suffix[1:].upper()}; name it {path.with_suffix(suffix)}")
 
 
 def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:

@@ -187,12 +187,12 @@ class EvidenceFlow:
         if now_ns - self._rows_ns >= self.missing_ns:
             return "measurements that do not come together", "gap"
         if seldom := self.chain.sampler.seldom:
-            return f"{' and '.join(seldom)} that comes too seldom for what was fitted", "gap"
+            return f"{' and '.join(seldom)} slower than in the fitted flights", "gap"
         lift = self.chain.source.lift
         if lift is not None and not self.chain.gate.carried:
-            return f"flight that its {lift.by} alone do not carry", "not_carried"
+            return f"flight not on its {lift.by} alone", "not_carried"
         if still := self.chain.sampler.still:
-            return f"{' and '.join(still)} that stands still as in no flight", "gap"
+            return f"{' and '.join(still)} frozen", "gap"
         if self._lost:
             return f"no {' and no '.join(self._lost)}", "gap"
         return "estimates without time to settle", "settling"

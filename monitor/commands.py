@@ -184,7 +184,7 @@ def run_notify(args: argparse.Namespace) -> int:
     notify = read_config(args.config, links_only=True).notify
     outlets = make_outlets(notify.urls_file, notify.exec, notify.exec_timeout_s)
     if not outlets:
-        raise UsageError(f"{args.config}: [notify] names neither urls_file nor exec; nobody would be told")
+        raise UsageError(f"{args.config}: [notify] names neither urls_file nor exec; nobody would be notified")
     details: dict[str, Any] = {"kind": "system", "state": "raised", "unit": "", "threshold": 0.0, "vehicle_time_ms": 0}
     message = "a test of fauio's notifications: no alarm"
     event = fixed_rule_event("test", "monitor", "test", time_ns=time.time_ns(), message=message, **details)

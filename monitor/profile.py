@@ -196,7 +196,7 @@ def read_profile(folder: str | Path) -> Profile:
     folder = Path(folder)
     path = folder / PROFILE_FILE
     if not path.is_file():
-        what = "has no " + PROFILE_FILE if folder.is_dir() else "is a file" if folder.exists() else "is not there"
+        what = "has no " + PROFILE_FILE if folder.is_dir() else "is a file" if folder.exists() else "does not exist"
         raise ProfileError(f"{folder}: {what}; name the profile folder that 'fauio fit' made")
     content = path.read_bytes()
     file = parse_toml(str(path), content, ProfileError)

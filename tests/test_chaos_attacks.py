@@ -58,7 +58,7 @@ def test_an_attack_is_told_of_within_five_seconds(raised: Raised, what: str) -> 
 @pytest.mark.parametrize("what", HELD)
 def test_what_stands_still_blinds_and_accuses_nobody(raised: Raised, what: str) -> None:
     (blind,) = raised(what, "blind")
-    assert "stands still" in blind.message
+    assert "frozen" in blind.message
     assert begun_s(blind) < 6.0
     assert [raised(what, f"motor{k}") for k in range(1, 5)] == [[]] * 4
 

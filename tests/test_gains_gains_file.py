@@ -75,7 +75,7 @@ def rows(key: str, edit: Callable[[list[list[Any]]], None]) -> Callable[[dict[st
         (change("states", ["x0"]), "where the names make it"),
         (change("faults", ["one", 2]), "'faults' is not a list of names"),
         (change("fault_kinds", ["sensor", "actuator"]), "'fault_kinds' is not actuator faults first"),
-        (change("fault_inputs", [9, None]), "'fault_inputs' names an input that is not there"),
+        (change("fault_inputs", [9, None]), "'fault_inputs' names an input that does not exist"),
         (change("fault_inputs", [True, None]), "'fault_inputs' is not a list of indices"),
         (change("fault_units", []), "differ in length"),
         (change("rate_hz", -1.0), "'rate_hz' is not positive"),

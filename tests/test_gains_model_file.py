@@ -276,7 +276,9 @@ def test_files_that_are_no_models_are_refused(tmp_path: Path) -> None:
         read_model(tmp_path / "missing.toml")
     with pytest.raises(ModelError, match="not a file"):
         read_model(tmp_path)
-    with pytest.raises(ModelError, match=r"neither a file nor a built-in model; built in are arm, arm-disturbed"):
+    with pytest.raises(
+        ModelError, match=r"neither a file nor a built-in model; the built-in models are arm, arm-disturbed"
+    ):
         load_model("leg")
     (tmp_path / "bytes.toml").write_bytes(b"name = '\xff'")
     with pytest.raises(ModelError, match="not valid TOML: byte 8 is no UTF-8"):

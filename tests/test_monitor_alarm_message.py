@@ -14,7 +14,7 @@ from monitor.event import Kind
         ("throttle", "actuator", DEFLECTION, -0.1, -0.2, "throttle pushes 20 % less than commanded"),
         ("aileron", "actuator", DEFLECTION, -0.1, -0.2, "aileron has 20 % less effect than commanded"),
         ("aileron", "actuator", DEFLECTION, 0.1, 0.2, "aileron has 20 % more effect than commanded"),
-        ("rudder", "actuator", DEFLECTION, 0.1, None, "rudder acts 10 % of full deflection off where it is commanded"),
+        ("rudder", "actuator", DEFLECTION, 0.1, None, "rudder is 10 % of full deflection off its command"),
         ("gps_north", "sensor", "m", 12.0, None, "GPS is 12 m north of where the inertial sensors say"),
         ("gps_east", "sensor", "m", -3.21, None, "GPS is 3.21 m west of where the inertial sensors say"),
         ("gps_down", "sensor", "m", -4.0, None, "GPS is 4 m above where the inertial sensors say"),

@@ -146,7 +146,7 @@ def test_a_reader_that_goes_away_ends_it_quietly(endpoint: Endpoint) -> None:
         (("--vehicle", "a/b"), "cannot be part of a Zenoh key"),
         (("--prefix", ""), "cannot be part of a Zenoh key"),
         (("--connect", "nonsense"), "nonsense"),
-        (("--for", "soon"), "'soon' is no finite number"),
+        (("--for", "soon"), "'soon' is not a finite number"),
     ],
 )
 def test_a_mistake_is_named_and_ends_with_2(endpoint: Endpoint, options: tuple[str, ...], part: str) -> None:

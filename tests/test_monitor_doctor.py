@@ -61,7 +61,7 @@ listen = "127.0.0.1:{metrics}"
     config.write_text(text)
     assert fauio.main(["doctor", "--config", str(config), "--json"]) == 2
     checks = json.loads(capsys.readouterr().out)["checks"]
-    assert [check["found"] for check in checks if check["verdict"] == "failed"] == [f"{device} is not there"]
+    assert [check["found"] for check in checks if check["verdict"] == "failed"] == [f"{device} does not exist"]
     found = " ".join(check["found"] for check in checks)
     assert "7447" not in found
     assert f":{port} is free" in found

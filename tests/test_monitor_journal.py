@@ -63,7 +63,7 @@ def test_an_event_given_again_is_there_once_and_another_with_its_number_is_count
         counts = journal.statistics()
         assert journal.events() == [event(1)]
     assert (counts.written, counts.duplicates, counts.conflicts) == (1, 2, 1)
-    assert "another content" in (counts.last_error or "")
+    assert "other content" in (counts.last_error or "")
 
 
 def test_active_alarms_and_numbers_come_back_after_a_restart(path: Path) -> None:

@@ -238,7 +238,7 @@ def test_a_port_that_is_taken_and_a_missing_executable_are_said_in_one_line(monk
         with pytest.raises(UsageError, match=r"cannot listen on 127.0.0.1:[0-9]+: .*; choose another port"):
             LiveView("serve", port=other.getsockname()[1])
     monkeypatch.setenv("RERUN_CLI_PATH", "/nowhere/rerun")
-    with pytest.raises(UsageError, match="/nowhere/rerun: Rerun's executable is not there"):
+    with pytest.raises(UsageError, match="/nowhere/rerun: Rerun's executable is missing"):
         LiveView("spawn")
 
 

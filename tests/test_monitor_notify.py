@@ -124,7 +124,7 @@ def test_a_web_hook_gets_an_alarm_again_after_it_was_away_and_a_flood_as_one(
     assert service.bodies[0]["title"] == "copter-1: motor1 warning"
     assert service.bodies[0]["message"].startswith("motor1 delivers less (motors/motor1, ")
     until(lambda: len(failures) == 3)
-    assert failures == [("json-2", "the service did not take it")] * 2 + [("json-2", None)]
+    assert failures == [("json-2", "the service refused it")] * 2 + [("json-2", None)]
     for k in range(50):
         notifier.event(event(k, f"c{k}", id=f"01J{k}", **CRITICAL))
     until(lambda: len(service.bodies) == 2)

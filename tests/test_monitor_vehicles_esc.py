@@ -92,7 +92,7 @@ def test_a_propeller_that_pushes_less_at_its_speed_is_named_and_nothing_else(
     assert (event.observer, event.channel) == ("motors", "prop4")
     assert 0.0 < seconds_after(event, fault) < 0.5
     assert event.relative == pytest.approx(-0.1, abs=0.03)
-    assert event.message.endswith("less than its speed lets expect")
+    assert event.message.endswith("less than expected at its speed")
 
 
 def test_a_motor_that_draws_more_at_its_speed_is_named_and_nothing_else(fitted: tuple[FitReport, Profile]) -> None:
@@ -101,7 +101,7 @@ def test_a_motor_that_draws_more_at_its_speed_is_named_and_nothing_else(fitted: 
     assert (event.observer, event.channel) == ("esc", "motor3")
     assert 0.0 < seconds_after(event, fault) < 0.5
     assert event.relative == pytest.approx(0.3, abs=0.08)
-    assert "more current than its speed lets expect" in event.message
+    assert "more current than expected at its speed" in event.message
 
 
 def test_a_healthy_flight_with_a_sagging_battery_raises_nothing(fitted: tuple[FitReport, Profile]) -> None:
@@ -318,7 +318,7 @@ def test_samples_do_not_depend_on_cuts() -> None:
         ({"weight": 1.0}, "'weight' is unknown"),
         ({"curves": 1.0}, "'curves' is 1; it has to be 2"),
         ({"lag_s": -1.0}, "'lag_s' is -1; from 0 to 2"),
-        ({"rpm2": 0.0}, "'rpm2' is 0; that of hovering is above 0"),
+        ({"rpm2": 0.0}, "'rpm2' is 0; that of hover must be above 0"),
     ],
 )
 def test_parameters_that_cannot_be_are_refused(change: dict[str, float | None], said: str) -> None:

@@ -118,7 +118,7 @@ def test_accelerations_that_come_too_seldom_are_refused_with_the_rate_that_is_ne
 def test_speeds_that_come_too_seldom_are_refused_and_without_any_there_is_no_observer(
     healthy: list[list[Batch]],
 ) -> None:
-    with pytest.raises(ModelError, match=r"which propeller is out of balance cannot be told: speeds come at 3 Hz"):
+    with pytest.raises(ModelError, match=r"the unbalanced propeller cannot be identified: speeds come at 3 Hz"):
         fit_imbalance(request(list(packed(flight(1, 25.0, esc_hz=3.0, shaken=True)))), GATE)
     names = {"HIGHRES_IMU", "ATTITUDE", "SERVO_OUTPUT_RAW", "HEARTBEAT", "EXTENDED_SYS_STATE"}
     assert fit_imbalance(request([of_names(batch, names) for batch in healthy[0]]), GATE) is None

@@ -36,7 +36,7 @@ def test_a_propeller_out_of_balance_is_an_alarm_within_seconds(profile: Profile)
     assert 0.0 < raised.vehicle_time_ms / 1000 - 5.0 - 10.0 < 5.0
     assert np.exp(raised.estimate) == pytest.approx(6.0, rel=0.3)
     assert raised.message.startswith("vibration is ")
-    assert raised.message.endswith(" times what is expected of this flight")
+    assert raised.message.endswith(" times the level expected in this flight")
     assert raised.display.endswith(" times")
 
 
@@ -55,8 +55,8 @@ def test_clipped_samples_are_an_alarm_and_a_counter_that_begins_anew_is_none(pro
     assert (cleared.channel, cleared.state) == ("clipping", "cleared")
     assert 0.0 < raised.vehicle_time_ms / 1000 - 15.0 < 5.0
     assert raised.estimate == pytest.approx(50.0, rel=0.1)
-    assert raised.message.startswith("accelerometers are at their end ")
-    assert raised.message.endswith(" samples/s: what is beyond is lost")
+    assert raised.message.startswith("accelerometers are at the end of their range ")
+    assert raised.message.endswith(" samples/s: larger values are lost")
     assert cleared.vehicle_time_ms < 32_000
 
 

@@ -191,7 +191,7 @@ def test_a_recording_is_never_written_over(tmp_path: Path, capsys: pytest.Captur
     out = tmp_path / "monday.mcap"
     out.write_text("precious")
     assert fauio.main(["record", "-o", str(out), "--mavlink", "udpin:127.0.0.1:0"]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert out.read_text() == "precious"
 
 

@@ -128,7 +128,7 @@ def test_a_damaged_flight_is_named(
     path.write_bytes(damage)
     assert fauio.main(["fit", "--update", str(profile), str(data / LOGS[1])]) == 2
     [line] = capsys.readouterr().err.splitlines()
-    assert f"{path}: is not as the fit wrote it, damaged or changed; fit the profile anew to all its logs" in line
+    assert f"{path}: was damaged or changed after the fit; fit the profile anew to all its logs" in line
 
 
 # in the middle of the flight's span "e" makes a number of more than a float holds

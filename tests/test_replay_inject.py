@@ -450,7 +450,7 @@ def test_the_command_writes_recording_and_truth_and_keeps_earlier_truth(
         (["--channel", "baro", "--kind", "spoof", "--rate", "1"], "gps_north"),
         (["--channel", "compass", "--kind", "scale", "--size", "2"], "no size to scale"),
         (["--channel", "gyro_x", "--kind", "bias"], "needs --size"),
-        (["--channel", "gyro_x", "--kind", "freeze", "--size", "1"], "means nothing"),
+        (["--channel", "gyro_x", "--kind", "freeze", "--size", "1"], "has no effect"),
         (["--channel", "gyro_x", "--kind", "noise", "--size", "-1"], "not positive"),
         (["--channel", "gyro_x", "--kind", "replay", "--from", "2"], "not before --start"),
         (["--channel", "gyro_x", "--kind", "bias", "--size", "1", "--end", "0.5"], "not after --start"),

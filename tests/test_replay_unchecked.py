@@ -36,7 +36,7 @@ def test_what_could_not_be_read_comes_first(arm_profile: Profile, replay: Replay
     damage = (Damage("flight.tlog", ("1 damaged place, 9 bytes unreadable", "breaks off at its end")),)
     first = next(iter(told(arm_profile, replay, damage=damage).items()))
     assert first == (
-        "what is missing of flight.tlog",
+        "the unreadable part of flight.tlog",
         "1 damaged place, 9 bytes unreadable; breaks off at its end",
     )
 

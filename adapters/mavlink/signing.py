@@ -95,7 +95,7 @@ def read_key(path: str | os.PathLike[str]) -> SigningKey:
     except OSError as error:
         raise TelemetryError(f"{path}: signing key cannot be read: {error.strerror}") from error
     if open_to_all:
-        raise TelemetryError(f"{path}: every user may read or change this signing key; say 'chmod o-rwx {path}'")
+        raise TelemetryError(f"{path}: every user may read or change this signing key; run 'chmod o-rwx {path}'")
     try:
         line = content.decode().rstrip("\r\n")
     except UnicodeDecodeError:

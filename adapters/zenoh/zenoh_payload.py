@@ -70,11 +70,11 @@ class PayloadDecoder:
             return name, _fields(payload)
         decoder = self._decoders.get(kind)
         if decoder is None:
-            raise UndefinedTypeError(f"CDR, and no definition of {kind}" if kind else "CDR of a type that nobody told")
+            raise UndefinedTypeError(f"CDR, and no definition of {kind}" if kind else "CDR of an unknown type")
         return name, decoder.decode(payload)
 
     def _look_up(self, key: str, encoding: str) -> tuple[str, str | None]:
-        """Return a key's message name and type: None for JSON, empty for CDR of a type that nobody told."""
+        """Return a key's message name and type: None for JSON, empty for CDR of an unknown type."""
         known = self._keys.get((key, encoding))
         if known is None:
             if len(self._keys) >= _MAX_KEYS:

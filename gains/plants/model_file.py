@@ -60,7 +60,7 @@ def load_model(name_or_path: str | Path) -> Plant:
         return builtin_model(str(name_or_path))
     if not Path(name_or_path).exists() and Path(name_or_path).suffix != ".toml":
         raise ModelError(
-            f"{name_or_path}: neither a file nor a built-in model; built in are {', '.join(BUILTIN_MODELS)}"
+            f"{name_or_path}: neither a file nor a built-in model; the built-in models are {', '.join(BUILTIN_MODELS)}"
         )
     return read_model(name_or_path)
 

@@ -111,6 +111,6 @@ def confirmed(observer: ContinuousObserver, inputs: Inputs = "all") -> Continuou
     if not norm.confirms(math.inf if observer.sqrt_mu is None else observer.sqrt_mu):
         raise InaccurateError(
             f"{observer.plant.name}: the {observer.method} gains have the norm {norm.value:.6g}, above the bound "
-            f"{observer.sqrt_mu} that the solver reports; they are not for use"
+            f"{observer.sqrt_mu} that the solver reports; they must not be used"
         )
     return observer

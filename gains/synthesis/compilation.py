@@ -40,7 +40,7 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
         The certificate does not hold: such gains are not for use.
     """
     if not certificate.holds:
-        raise InaccurateError(f"{plant.name}: the gains' certificate does not hold; they are not for use")
+        raise InaccurateError(f"{plant.name}: the gains' certificate does not hold; they must not be used")
     rate_hz, observer = float(design.rate_hz or 0.0), design.gains
     discrete = discretise(plant, rate_hz)
     inverse = observer.inverse(augment(discrete, design.integrator_order))

@@ -134,7 +134,7 @@ def _check_shapes(gains: Gains) -> None:
     if set(kinds) - {"actuator", "sensor"} or list(kinds) != sorted(kinds):
         raise ModelError("'fault_kinds' is not actuator faults first, then sensor faults")
     if any(index is not None and not 0 <= index < s for index in gains.fault_inputs):
-        raise ModelError("'fault_inputs' names an input that is not there")
+        raise ModelError("'fault_inputs' names an input that does not exist")
     if gains.rate_hz <= 0.0:
         raise ModelError("'rate_hz' is not positive")
     a1 = kinds.count("actuator")

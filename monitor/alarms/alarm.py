@@ -57,9 +57,9 @@ _LARGEST_LOG = 50.0
 """Beyond it nothing is measured; the exponential of more is no number that people read."""
 _CHAIN = {
     SPEED: ("turns its motor", "slower", "faster", "commanded"),
-    THRUST: ("pushes", "less", "more", "its speed lets expect"),
-    CURRENT: ("draws", "less current", "more current", "its speed lets expect"),
-    RESISTANCE: ("has", "less resistance", "more resistance", "is usual"),
+    THRUST: ("pushes", "less", "more", "expected at its speed"),
+    CURRENT: ("draws", "less current", "more current", "expected at its speed"),
+    RESISTANCE: ("has", "less resistance", "more resistance", "usual"),
 }
 _ACTS = {"steering": ("turns", ""), "throttle": ("pushes", "")}
 _HAS_EFFECT = ("has", " effect")
@@ -76,7 +76,7 @@ def alarm_message(
         return f"{observer}: no known fault explains what is measured ({size_text(size, 'times healthy')})"
     if kind == "actuator" and unit == DEFLECTION:
         if relative is None:
-            return f"{channel} acts {size_text(abs(size), unit)} off where it is commanded"
+            return f"{channel} is {size_text(abs(size), unit)} off its command"
         verb, noun = _ACTS.get(channel, _HAS_EFFECT)
         return f"{channel} {verb} {_percent(relative)}{noun} than commanded"
     if kind == "actuator" and relative is not None and unit in _CHAIN:
@@ -85,9 +85,9 @@ def alarm_message(
     if kind == "actuator" and relative is not None:
         return f"{channel} delivers {_percent(relative)} than commanded"
     if unit == LOG_TIMES:
-        return f"{channel} is {math.exp(min(size, _LARGEST_LOG)):.2g} times what is expected of this flight"
+        return f"{channel} is {math.exp(min(size, _LARGEST_LOG)):.2g} times the level expected in this flight"
     if unit == CLIPS:
-        return f"accelerometers are at their end {size_text(size, unit)}: what is beyond is lost"
+        return f"accelerometers are at the end of their range {size_text(size, unit)}: larger values are lost"
     if channel.startswith("disturbance_"):
         return f"{channel.removeprefix('disturbance_')} is disturbed by {size_text(size, unit, signed=True)}: no fault"
     sentence = _sensor(channel, unit, size)

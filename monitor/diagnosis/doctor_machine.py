@@ -76,7 +76,7 @@ def serial_checks(urls: Sequence[str], devices: Path = Path("/dev")) -> list[Doc
     for device in ports:
         if not device.exists():
             checks.append(
-                DoctorCheck(name, "failed", f"{device} is not there", "connect it, or mend the URL of the link")
+                DoctorCheck(name, "failed", f"{device} does not exist", "connect it, or mend the URL of the link")
             )
         elif os.access(device, os.R_OK | os.W_OK):
             checks.append(DoctorCheck(name, "ok", f"{device} can be read"))

@@ -42,7 +42,7 @@ def capability_text(capability: Capability) -> str:
         parts.append(f"{_size(capability, size)} within {within:g} s")
     if not parts:
         slowest = max(within for within, _ in capability.smallest)
-        parts.append(f"nothing up to {_size(capability, capability.largest)} always and alone within {slowest:g} s")
+        parts.append(f"nothing up to {_size(capability, capability.largest)} reliably within {slowest:g} s")
     return f"{capability.channel}: {', '.join(parts)}"
 
 

@@ -248,7 +248,10 @@ def _agreement(
 
     Offsets of the outputs are each recording's own.
     """
-    effects = [ComparedEffect(name, f"{name} acts {{}} less", f"{name} acts {{}} more", _SCATTER) for name in actuators]
+    effects = [
+        ComparedEffect(name, f"{name} has {{}} less effect", f"{name} has {{}} more effect", _SCATTER)
+        for name in actuators
+    ]
     places = [plant.inputs.index(name) for name in actuators]
     others = [place for place in range(len(plant.inputs)) if place not in places]
     n, rate_hz = len(plant.states), plant.rate_hz or 1.0

@@ -193,8 +193,8 @@ class Fitted(ObserverSetup):
         most = max(rates, key=lambda channel: rates[channel])
         return [
             f"  false alarms expected in 100 hours: {number_text(sum(rates.values()), 2)} in all, "
-            f"{most} most ({number_text(rates[most], 2)}); "
-            f"{self.flight_s / 60.0:.0f} minutes of flight cannot show less than {max(excluded):,.0f} of each (95 %)"
+            f"{most} the most ({number_text(rates[most], 2)}); "
+            f"{self.flight_s / 60.0:.0f} minutes of flight exclude only more than {max(excluded):,.0f} of each (95 %)"
         ]
 
 

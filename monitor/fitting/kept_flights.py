@@ -73,7 +73,7 @@ class KeptFlight:
         except OSError as error:
             raise ProfileError(f"{path}: cannot be read ({error}); {_ANEW}") from error
         if sha256(data).hexdigest() != self.digest:
-            raise ProfileError(f"{path}: is not as the fit wrote it, damaged or changed; {_ANEW}")
+            raise ProfileError(f"{path}: was damaged or changed after the fit; {_ANEW}")
         with np.load(BytesIO(data), allow_pickle=False) as arrays:
             yield _batch({name: arrays[name] for name in arrays.files})
 

@@ -67,7 +67,7 @@ class AppriseOutlet:
             kind = apprise.NotifyType.SUCCESS
         title, body = summary(notices)
         if not self._service.notify(title=title, body=body, notify_type=kind):
-            raise DeliveryError("the service did not take it")
+            raise DeliveryError("the service refused it")
 
 
 class ExecOutlet:
@@ -140,7 +140,7 @@ def _read_urls(path: Path) -> list[tuple[int, str]]:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
     if mode & (stat.S_IROTH | stat.S_IWOTH):
         raise UsageError(
-            f"{path}: every user may read or change these URLs, which hold secrets; say 'chmod o-rwx {path}'"
+            f"{path}: every user may read or change these URLs, which hold secrets; run 'chmod o-rwx {path}'"
         )
     lines = enumerate(content.decode(errors="replace").splitlines(), 1)
     urls = [(index, text) for index, line in lines if (text := line.strip()) and not text.startswith("#")]

@@ -416,7 +416,7 @@ class Journal:
                 outcome = insert(connection, row)
                 counts[outcome] += 1
                 if outcome == "conflicts":
-                    conflict = f"event {row.seq} of {row.vehicle} is there already, with another content"
+                    conflict = f"event {row.seq} of {row.vehicle} already exists, with other content"
             counts["pruned"] = prune(connection, self._events + counts["written"] - self._max_events)
 
         if not self._transact(write):

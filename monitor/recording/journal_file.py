@@ -145,7 +145,7 @@ def set_aside(path: Path) -> Path:
                 path.with_name(path.name + sidecar).rename(target.with_name(target.name + sidecar))
         path.rename(target)
     except OSError as error:
-        raise StorageError(f"{path}: is damaged and cannot be renamed ({error.strerror}): move it away") from error
+        raise StorageError(f"{path}: is damaged and cannot be renamed ({error.strerror}); move it away") from error
     return target
 
 

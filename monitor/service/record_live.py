@@ -56,7 +56,7 @@ def record_live(config: Config, path: Path, seconds: float | None = None, *, as_
     if not config.mavlink and not _over_zenoh(config):
         raise UsageError("no telemetry to listen to: give --mavlink URL or --zenoh KEYEXPR, or set it in --config")
     if path.exists():
-        raise StorageError(f"{path}: is there already; name another file, or move it away")
+        raise StorageError(f"{path}: already exists; name another file, or move it away")
     check_suffix(path, ".mcap")
     try:
         found = _record(config, path, seconds, as_json)
@@ -64,13 +64,13 @@ def record_live(config: Config, path: Path, seconds: float | None = None, *, as_
         if error.filename != str(path):
             raise
         raise StorageError(
-            f"{path}: {error.strerror}; what came until a second before is in it: free some space, and record to "
+            f"{path}: {error.strerror}; telemetry up to a second before is in it: free some space, and record to "
             "another file"
         ) from error
     if not found.messages:
         path.unlink()
         raise TelemetryError(
-            f"{path}: not made, nothing came over {found.links}; does the vehicle send to this address?"
+            f"{path}: not written: nothing was received over {found.links}; does the vehicle send to this address?"
         )
     return found
 

@@ -139,7 +139,7 @@ def rerun_binary() -> str:
     folders = package.submodule_search_locations if package is not None else None
     path = Path(os.environ.get("RERUN_CLI_PATH") or Path(folders[0] if folders else "", "rerun"))
     if not os.access(path, os.X_OK):
-        raise UsageError(f"{path}: Rerun's executable is not there; install rerun-sdk again or set RERUN_CLI_PATH")
+        raise UsageError(f"{path}: Rerun's executable is missing; install rerun-sdk again or set RERUN_CLI_PATH")
     return str(path)
 
 

@@ -91,7 +91,7 @@ class Attack:
             if value is None and name in rule.needed:
                 raise UsageError(f"--kind {self.kind} needs {flag}")
             if value is not None and name not in (*rule.needed, *rule.allowed):
-                raise UsageError(f"{flag} means nothing to --kind {self.kind}; leave it out")
+                raise UsageError(f"{flag} has no effect with --kind {self.kind}; leave it out")
             if value is not None and not isfinite(value):
                 raise UsageError(f"{flag} is {value}; give a finite number")
         if self.end_ns <= self.start_ns:
@@ -103,7 +103,7 @@ class Attack:
         if self.kind == "drop" and self.size is not None and not 0.0 < self.size <= 1.0:
             raise UsageError(f"--size {self.size:g}: the share of messages lost is above 0 and at most 1")
         if self.kind == "ramp" and (self.size or 0.0) * (self.rate or 0.0) < 0.0:
-            raise UsageError("--size and --rate of a ramp have different signs; it would never get there")
+            raise UsageError("--size and --rate of a ramp have different signs; the ramp would never reach --size")
         if self.kind == "loss" and self.rate is not None and self.rate * (self.size or 0.0) <= 0.0:
             raise UsageError(f"--rate {self.rate:g} does not have the sign of --size; a loss grows")
         if self.acceleration is not None and self.acceleration <= 0.0:

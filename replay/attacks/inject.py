@@ -129,7 +129,7 @@ def _timed(order: Order, sender: Senders, log: Path) -> Attack:
         end_ns = start_ns + round(order.duration_s * SECOND_NS)
     if not first_ns <= start_ns <= last_ns:
         raise UsageError(
-            f"{log}: the attack would begin outside; the log is {(last_ns - first_ns) / SECOND_NS:.1f} s long, "
+            f"{log}: the attack would begin outside the log, which is {(last_ns - first_ns) / SECOND_NS:.1f} s long, "
             f"{first_ns // 1_000_000} to {last_ns // 1_000_000} ms of the vehicle's clock"
         )
     source_ns = None if order.source_s is None else from_first(order.source_s)

@@ -82,7 +82,7 @@ class PlantResponse:
         if fault.input is not None:
             self._channel = next((channel for channel in inputs if channel.name == fault.input), None)
             if self._channel is None:
-                raise UsageError(f"{fault.name}: the profile maps no channel '{fault.input}'; nothing to lose")
+                raise UsageError(f"{fault.name}: the profile has no channel '{fault.input}', so it cannot lose effect")
             if plant.curves:
                 self._curve = np.array([plant.curves[plant.inputs.index(fault.input)]])
         answered = self._channel is not None and self._channel.message == _AUTOPILOT_OUTPUT

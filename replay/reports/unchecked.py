@@ -34,10 +34,10 @@ def unchecked(
 ) -> list[Unchecked]:
     """Return what a run could not check, the gravest first, from what went in (facts, damage) and what came out."""
     return [
-        *([Unchecked("everything that was found or not found", replay.mismatch)] if replay.mismatch else []),
+        *([Unchecked("all results", replay.mismatch)] if replay.mismatch else []),
         *(Unchecked(f"{seconds:.0f} s in flight", why) for why, seconds in replay.unwatched(facts.last_ns or 0)),
         *(Unchecked(f"{name}: {seconds:.0f} s", far) for name, (seconds, far) in replay.outside.items()),
-        *(Unchecked(f"what is missing of {part.file}", "; ".join(part.found)) for part in damage),
+        *(Unchecked(f"the unreadable part of {part.file}", "; ".join(part.found)) for part in damage),
         *(gap for observer in profile.observers for gap in _observer(profile, observer, replay, facts)),
         *(gap for observer in profile.observers for gap in _bridged(observer, replay.watches[observer.name])),
         *(gap for observer in profile.observers for gap in _interpolated(observer, facts)),
@@ -69,7 +69,7 @@ def _observer(
             reasons.append(f"{statistics.untimed} have no usable time stamp")
         yield Unchecked(f"{observer.name} ({channels})", f"no sample could be made of them: {'; '.join(reasons)}")
     elif found := unfitted(observer.source, observer.rate_hz, facts.rates):
-        yield Unchecked(f"{observer.name} ({channels})", f"messages come too seldom for what was fitted: {found}")
+        yield Unchecked(f"{observer.name} ({channels})", f"messages come too seldom for this profile: {found}")
     elif not watch.evidence:
         yield Unchecked(
             f"{observer.name} ({channels})", f"the vehicle was never seen {_phase(profile)} for long enough"
@@ -94,17 +94,17 @@ def _bridged(observer: ObserverProfile, watch: Watch) -> Iterator[Unchecked]:
         share = 100.0 * watch.coasted / watch.samples
         yield Unchecked(
             f"{observer.name}: {watch.coasted / watch.rate_hz:.1f} s ({share:.2f} % of its samples)",
-            "measurements were lost; its model went on alone, and raised nothing meanwhile",
+            "measurements were lost; the observer coasted on its model and raised nothing",
         )
     if watch.sampling.skipped:
         yield Unchecked(
             f"{observer.name}: {watch.sampling.skipped / watch.rate_hz:.1f} s inside gaps",
-            f"too long to bridge: it started afresh {watch.sampling.restarts} times, the first time included",
+            f"too long to bridge: the observer restarted {watch.sampling.restarts} times, its first start included",
         )
     if watch.sampling.clock_restarts:
         yield Unchecked(
             f"{observer.name}: around {watch.sampling.clock_restarts} jumps of the vehicle's clock",
-            "the vehicle rebooted or changed its clock; what was estimated before was dropped",
+            "the vehicle rebooted or changed its clock; earlier estimates were dropped",
         )
 
 
@@ -170,7 +170,7 @@ def _excused(profile: Profile, found: Sequence[Finding]) -> Iterator[Unchecked]:
         if causes:
             yield Unchecked(
                 f"{_and(rule.channels)} while {_and(causes)} had an alarm, and {rule.for_s:g} s after",
-                "the profile puts what they show then down to that alarm",
+                "the profile assigns their evidence to that alarm meanwhile",
             )
 
 

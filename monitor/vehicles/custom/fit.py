@@ -207,7 +207,7 @@ def _details(fit: OutputErrorFit, plant: Plant, comparison: Comparison) -> tuple
     return (
         f"on data kept back ({windows} windows of {length / fit.rate_hz:.3g} s):",
         *(f"  {line}" for line in comparison_lines(comparison)),
-        "disturbances and noises, with what the parameters' uncertainty adds:",
+        "disturbances and noises, with the parameters' uncertainty added:",
         *(f"  {signal.name} {signal.scale:.3g}" for signal in signals),
     )
 

@@ -236,7 +236,7 @@ def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: f
     check_length(len(u), signal_hz, "speeds of motors")
     hover = np.median(speed, axis=0)
     if not (hover > 0.0).all():
-        raise ModelError("a motor that flies reports no speed: is each speed controller one of a motor?")
+        raise ModelError("a motor in flight reports no speed: does every speed controller belong to a motor?")
     volts = float(np.median(voltage.mean(axis=1)))
     volts = float(f"{volts:.4g}") if volts > 0.0 and (voltage.mean(axis=0) > 0.0).all() else 0.0
     amps = np.median(current, axis=0)

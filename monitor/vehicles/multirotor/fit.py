@@ -332,7 +332,7 @@ def pairs_of(motors: Sequence[str], B: NDArray[np.float64], *, slow: bool) -> tu
 
 def _supply_text(supply: SupplyRule) -> str:
     return (
-        f"commands lose {supply.share:.2f} % where the battery loses 1 % of {supply.volts:.1f} V: reckoned with, by "
+        f"commands lose {supply.share:.2f} % when the battery loses 1 % of {supply.volts:.1f} V: corrected by "
         f"{BATTERY_MESSAGE}"
     )
 
@@ -389,14 +389,14 @@ def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
         times=Times(),
         smallest_loss=_SMALLEST_LOSS,
         findings={**_findings(model, motors, uncertainty), "not_told": [*np.array(_AXES)[~told].tolist()]},
-        line=f"model {rate_hz:g} Hz, motors {1000 * uncertainty.times_s.sum():.0f} ms late; standard errors of what "
-        f"they do: {known}{from_frame}",
+        line=f"model {rate_hz:g} Hz, motors {1000 * uncertainty.times_s.sum():.0f} ms late; standard errors of "
+        f"their effects: {known}{from_frame}",
         details=(
             f"standard error of each motor's effect: {_percentages(motors, uncertainty.relative)}",
             *(
                 ("on data kept back:", *(f"  {line}" for line in comparison_lines(comparison)))
                 if comparison
-                else ("too little to keep any back",)
+                else ("too little data to keep any back",)
             ),
         ),
         comparison=comparison,

@@ -223,7 +223,7 @@ def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
     drift = _drift([flight.samples.u[flight.armed, len(_AXES) :] for flight in raw], signal_hz, signals.rate_hz)
     if drift > _LARGEST_DRIFT:
         raise ModelError(
-            f"which propeller is out of balance cannot be told: speeds come at {signals.rate_hz:.3g} Hz, and within "
+            f"the unbalanced propeller cannot be identified: speeds come at {signals.rate_hz:.3g} Hz, and within "
             f"two intervals a rotor gets {drift:.2g} turns away from a straight line; record them more often"
         )
     numbers = [int(channel.name.removeprefix("rpm")) for channel in signals.speed]

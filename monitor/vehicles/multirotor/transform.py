@@ -137,7 +137,7 @@ class EscInputs:
             if not 0.0 <= parameters.get(key, 0.0) <= most:
                 raise TelemetryError(f"transform 'esc': '{key}' is {parameters[key]:g}; from 0 to {most:g}")
         if bad := next((name for name in curves if not 0.0 < parameters[name] < 1e9), None):
-            raise TelemetryError(f"transform 'esc': '{bad}' is {parameters[bad]:g}; that of hovering is above 0")
+            raise TelemetryError(f"transform 'esc': '{bad}' is {parameters[bad]:g}; that of hover must be above 0")
         self._least = parameters.get("least", 0.0)
         self._most, self._doubt = parameters.get("most", math.inf), parameters.get("doubt", 0.0)
         self._largest_step = parameters.get("fastest", math.inf) / signal_rate_hz

@@ -183,8 +183,8 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
         alarms=(alarm, clipping),
         findings={"rate_hz": rate_hz, "left": left},
         lines=(
-            f"levels {rate_hz:g} times a second, within a factor of {math.exp(left):.2f} of what throttle and motion "
-            f"let expect (standard deviation); alarm from {math.exp(alarm.rule.threshold):.1f} times",
+            f"levels {rate_hz:g} times a second, within a factor of {math.exp(left):.2f} of the level expected "
+            f"from throttle and motion (standard deviation); alarm from {math.exp(alarm.rule.threshold):.1f} times",
         ),
     )
 

@@ -130,7 +130,7 @@ def fit_airspeed(request: FitRequest, gate: GateRule) -> Fitted | None:
         findings={"rate_hz": rate_hz, **parameters},
         lines=(
             f"true airspeed {parameters['scale']:.3f} times the indicated one at sea level, within "
-            f"{parameters['noise']:.2g} m/s of what GPS and wind let expect (standard deviation); alarm from "
+            f"{parameters['noise']:.2g} m/s of the speed expected from GPS and wind (standard deviation); alarm from "
             f"{alarm.rule.threshold:.1f} m/s",
         ),
     )

@@ -28,7 +28,7 @@ def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
     recording = Recording(path, topics)
     records = LogRecords(recording.records())
     if not any(True for _ in records.names()):
-        raise TelemetryError(f"{path}: holds nothing that says how a vehicle fared; give a log of a flight")
+        raise TelemetryError(f"{path}: holds no telemetry of a flight; give a log of a flight")
     said = translate(records)
     facts = replace(
         said,
