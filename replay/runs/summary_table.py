@@ -1,9 +1,9 @@
-"""A table with a row for each replayed log, written row by row: CSV, or Parquet where the file is called so."""
+"""A table with a row for each replayed log: CSV, written row by row, or Parquet where the file is called so."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -37,8 +37,6 @@ COLUMNS: Mapping[str, type] = {
     "processor_s": float,
     "times_real_time": float,
 }
-_ROWS_AT_ONCE = 1000
-"""Rows of a Parquet row group. Chosen: enough to compress, little to lose."""
 
 
 def summary_row(outcome: LogOutcome) -> dict[str, Any]:
@@ -93,26 +91,36 @@ class SummaryTable:
     """
 
     def __init__(self, path: Path, worn: Iterable[WornChannel] = ()) -> None:
-        kinds: Mapping[str, Callable[[Path, Mapping[str, type]], _Csv | _Parquet]] = {
-            ".csv": _Csv,
-            ".parquet": _Parquet,
-        }
-        if path.suffix.lower() not in kinds:
+        if path.suffix.lower() not in (".csv", ".parquet"):
             raise UsageError(f"--table {path}: unknown kind of table; use .csv or .parquet")
+        self._columns = {**COLUMNS, **{name: float for of in worn for name in level_columns(of)}}
+        self._parquet = _pyarrow(path) if path.suffix.lower() == ".parquet" else None
         self._path = path
-        columns = {**COLUMNS, **{name: float for of in worn for name in level_columns(of)}}
+        self._rows: list[Mapping[str, Any]] = []
         with naming(path):
-            self._rows = kinds[path.suffix.lower()](path, columns)
+            self._file = path.open("w", newline="", encoding="utf-8", errors="backslashreplace")
+            self._csv = csv.DictWriter(self._file, list(self._columns))
+            if self._parquet is None:
+                self._csv.writeheader()
 
     def add(self, outcome: LogOutcome) -> None:
         """Add a log's row."""
+        row = summary_row(outcome)
+        if self._parquet is not None:
+            self._rows.append(row)
+            return
         with naming(self._path):
-            self._rows.add(summary_row(outcome))
+            self._csv.writerow(row)
+            self._file.flush()
 
     def close(self) -> None:
         """Finish the file."""
         with naming(self._path):
-            self._rows.close()
+            self._file.close()
+            if (arrow := self._parquet) is not None:
+                types = {str: arrow.string(), int: arrow.int64(), float: arrow.float64()}
+                schema = arrow.schema([(name, types[kind]) for name, kind in self._columns.items()])
+                arrow.parquet.write_table(arrow.Table.from_pylist(self._rows, schema), self._path)
 
     def __enter__(self) -> Self:
         return self
@@ -121,45 +129,12 @@ class SummaryTable:
         self.close()
 
 
-class _Csv:
-    def __init__(self, path: Path, columns: Mapping[str, type]) -> None:
-        self._file = path.open("w", newline="", encoding="utf-8", errors="backslashreplace")
-        self._writer = csv.DictWriter(self._file, list(columns))
-        self._writer.writeheader()
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        self._writer.writerow(row)
-        self._file.flush()
-
-    def close(self) -> None:
-        self._file.close()
-
-
-class _Parquet:
-    def __init__(self, path: Path, columns: Mapping[str, type]) -> None:
-        try:
-            import pyarrow
-            import pyarrow.parquet
-        except ImportError as error:
-            raise UsageError(
-                f"--table {path}: pyarrow is not installed; run: pip install 'fauio[parquet]', or write .csv"
-            ) from error
-        types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64()}
-        self._schema = pyarrow.schema([(name, types[kind]) for name, kind in columns.items()])
-        self._table = pyarrow.Table
-        self._writer = pyarrow.parquet.ParquetWriter(path, self._schema)
-        self._pending: list[Mapping[str, Any]] = []
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        self._pending.append(row)
-        if len(self._pending) >= _ROWS_AT_ONCE:
-            self._write()
-
-    def close(self) -> None:
-        if self._pending:
-            self._write()
-        self._writer.close()
-
-    def _write(self) -> None:
-        self._writer.write_table(self._table.from_pylist(self._pending, self._schema))
-        self._pending = []
+def _pyarrow(path: Path) -> Any:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise UsageError(
+            f"--table {path}: pyarrow is not installed; run: pip install 'fauio[parquet]', or write .csv"
+        ) from error
+    return pyarrow

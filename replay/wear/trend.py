@@ -46,39 +46,33 @@ def read_table(path: Path) -> list[LoggedFlight]:
         )
     flights = []
     for number, row in enumerate(rows, start=1):
-        cells = _Cells(path, number, row)
+        where = f"{path}: row {number}"
         if row.get("status") != "ok":
             continue
         levels = []
         for name, match in columns.items():
             of = WornChannel(**match.groupdict())
-            value, sd, limit = (cells.number(column) for column in (name, *level_columns(of)[1:]))
+            value, sd, limit = (_cell(row, column, where) for column in (name, *level_columns(of)[1:]))
             if value is not None and sd is not None and limit:
                 levels.append(WearLevel(of, value, sd, limit))
         start = str(row.get("start_utc") or "")
-        duration_s, watched_s = cells.number("duration_s") or 0.0, cells.number("watched_s") or 0.0
+        duration_s, watched_s = (_cell(row, name, where) or 0.0 for name in ("duration_s", "watched_s"))
         flights.append(LoggedFlight(str(row.get("log")), start, duration_s, watched_s, tuple(levels)))
     return flights
 
 
-class _Cells:
-    """A row of a table, whose cells are read one by one."""
-
-    def __init__(self, path: Path, number: int, row: Mapping[str, Any]) -> None:
-        self._path, self._number, self._row = path, number, row
-
-    def number(self, name: str) -> float | None:
-        """Return a cell's number; None where it is empty."""
-        cell = self._row.get(name)
-        if cell is None or cell == "":
-            return None
-        try:
-            value = float(cell)
-        except (TypeError, ValueError):
-            value = math.nan
-        if not math.isfinite(value):
-            raise TelemetryError(f"{self._path}: row {self._number}: '{name}' is no number: {cell!r}; mend the table")
-        return value
+def _cell(row: Mapping[str, Any], name: str, where: str) -> float | None:
+    """Return the number in a row's cell; None where it is empty."""
+    cell = row.get(name)
+    if cell is None or cell == "":
+        return None
+    try:
+        value = float(cell)
+    except (TypeError, ValueError):
+        value = math.nan
+    if not math.isfinite(value):
+        raise TelemetryError(f"{where}: '{name}' is no number: {cell!r}; mend the table")
+    return value
 
 
 def _rows(path: Path) -> Iterable[Mapping[str, Any]]:
