@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from adapters.errors import InfeasibleError, ModelError, TelemetryError
@@ -343,13 +344,8 @@ def _capped(items: Sequence[str], most: int) -> list[str]:
     return [*items[:most], f"... {len(items) - most} more"] if len(items) > most else list(items)
 
 
-def _listed(start: str, items: Sequence[str], comma: str = ", ") -> Iterator[str]:
-    """Yield items behind a start, with a comma between them, in lines of bounded width."""
-    line, indent = start, " " * (len(start) - len(start.lstrip()) + 2)
-    for at, item in enumerate(items):
-        word = item + (comma if at < len(items) - 1 else "")
-        if len(line) + len(word) > _WIDTH and line.strip():
-            yield line.rstrip()
-            line = indent
-        line += word
-    yield line.rstrip()
+def _listed(start: str, items: Sequence[str], comma: str = ", ") -> list[str]:
+    """Return items behind a start, with a comma between them, in lines of bounded width."""
+    indent = " " * (len(start) - len(start.lstrip()) + 2)
+    text = start + comma.join(items)
+    return wrap(text, _WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)

@@ -18,6 +18,7 @@ from adapters.output_file import write_file
 from monitor.bus.alarm_text import utc
 from monitor.display import doubt_text, fault_text
 from monitor.estimation.effectiveness import EffectivenessRule
+from monitor.fitting.progress import recording_bytes
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 from monitor.profile import Profile
 from monitor.trace import AlarmSpan
@@ -378,7 +379,7 @@ def _recording(run: Run) -> Iterator[Html]:
     yield facts(
         [
             ("file", element("code", str(run.log))),
-            ("size", _bytes(run.log)),
+            ("size", f"{recording_bytes(run.log):,} bytes"),
             ("from", "" if recording.first_ns is None else utc(recording.first_ns)),
             ("to", "" if recording.last_ns is None else utc(recording.last_ns)),
             ("duration", span_text(recording.duration_s)),
@@ -449,10 +450,3 @@ def _moment(run: Run, unix_ns: int, vehicle_ns: int) -> str:
     zero_ns = origin_ns(run.replay.traces)
     shown = f"{(vehicle_ns - zero_ns) / 1e9:.1f} s in the charts, " if zero_ns else ""
     return f"{utc(unix_ns)} ({shown}vehicle's clock {vehicle_ns / 1e9:.1f} s)"
-
-
-def _bytes(path: Path) -> str:
-    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
-    return f"{sum(file.stat().st_size for file in files):,} bytes" + (
-        "" if path.is_file() else f" in {len(files)} files"
-    )
