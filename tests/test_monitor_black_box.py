@@ -284,7 +284,7 @@ def test_the_oldest_clips_go_and_foreign_files_stay(tmp_path: Path) -> None:
     own = [path for path in clips(tmp_path) if path != foreign]
     assert sum(path.stat().st_size for path in own) <= 400_000
     assert foreign.exists()
-    assert box.statistics().deleted == 10 - len(own) > 0
+    assert 0 < len(own) < 10
     assert own[-1].name == f"copter-1-{raised(904).id}.mcap"
 
 

@@ -161,7 +161,7 @@ def test_the_oldest_go_so_that_all_stay_within_the_budget_and_foreign_files_stay
     assert all(path.stat().st_size <= 200_000 for path in own)
     assert len(own) >= 3
     assert all(path.exists() for path in foreign)
-    assert log.counts().deleted == log.counts().files - len(own) > 0
+    assert 0 < len(own) < log.counts().files
     kept = [number for path in own for number in numbers(path)]
     assert kept == [*range(kept[0], 100)]
 

@@ -44,11 +44,9 @@ class BlackBoxStatistics:
     held_bytes: int = 0
     open: int = 0  # clips being made, those that wait for the disk included
     written: int = 0  # clips completed
-    covered: int = 0  # alarms raised while :data:`MAX_OPEN_CLIPS` were open already, which they cover
     dropped: int = 0  # records left out of a clip that could not keep up, or was as large as a clip may be
     failures: int = 0  # clips given up because they could not be written
     failed: str | None = None  # the error with which a clip could not be written; None once the disk takes clips again
-    deleted: int = 0  # clips deleted to stay within the budget
 
 
 @dataclass(slots=True)
@@ -165,7 +163,6 @@ class BlackBox:
         if path.exists() or any(clip.path == path for clip in self._clips):
             return
         if sum(not clip.ended for clip in self._clips) >= MAX_OPEN_CLIPS:
-            self._counts.covered += 1
             return
         if len(self._clips) >= MAX_WAITING_CLIPS:
             self._give_up(next(clip for clip in self._clips if clip.ended))
@@ -200,9 +197,7 @@ class BlackBox:
 
     def statistics(self) -> BlackBoxStatistics:
         """Return the counts so far."""
-        return replace(
-            self._counts, held_records=len(self._held), open=len(self._clips), deleted=self._retention.deleted
-        )
+        return replace(self._counts, held_records=len(self._held), open=len(self._clips))
 
     def _pass_time(self, now_ns: int) -> None:
         self._now_ns = now_ns

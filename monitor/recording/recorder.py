@@ -97,7 +97,6 @@ class RecorderStatistics:
     failures: int = 0  # times that opening or writing a file failed
     failed: str | None = None  # the error, while nothing is recorded because of it; None while recording works
     files: int = 0  # files begun
-    deleted: int = 0  # files deleted to stay within the budget
     path: Path | None = None  # the file being written
 
 
@@ -209,7 +208,7 @@ class Recorder:
 
     def statistics(self) -> RecorderStatistics:
         """Return the counts so far."""
-        return replace(self._counts, deleted=0 if self._series is None else self._series.retention.deleted)
+        return replace(self._counts)
 
     def __enter__(self) -> Self:
         return self

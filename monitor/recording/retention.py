@@ -70,16 +70,12 @@ def file_stem(name: str) -> str:
 
 
 class Retention:
-    """The files of a folder whose whole names match, the oldest first, which is their lexical order.
-
-    ``deleted`` counts those deleted so far.
-    """
+    """The files of a folder whose whole names match, the oldest first, which is their lexical order."""
 
     def __init__(self, folder: Path, name: re.Pattern[str], budget_bytes: int) -> None:
         self._folder = folder
         self._name = name
         self._budget_bytes = budget_bytes
-        self.deleted = 0
 
     def files(self) -> list[Path]:
         """Return the files in order of age; none where the folder cannot be read."""
@@ -100,7 +96,6 @@ class Retention:
                 excess -= size
                 with contextlib.suppress(OSError):
                     path.unlink()
-                    self.deleted += 1
 
 
 def writable_folder(folder: str | os.PathLike[str]) -> Path:
