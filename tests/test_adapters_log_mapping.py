@@ -43,7 +43,8 @@ def test_of_several_ways_the_first_that_the_log_can_fill_is_taken() -> None:
     assert mapping.guess({"vehicle_attitude": 9}, old)["ATTITUDE"].topic == "vehicle_attitude"
     new = {"vehicle_attitude": ATTITUDE, "vehicle_angular_velocity": RATES}
     chosen = mapping.guess({"vehicle_attitude": 9, "vehicle_angular_velocity": 20}, new)
-    assert chosen["ATTITUDE"].text() == "ATTITUDE from vehicle_angular_velocity with vehicle_attitude"
+    assert chosen["ATTITUDE"].topic == "vehicle_angular_velocity"
+    assert chosen["ATTITUDE"].topics == {"vehicle_angular_velocity", "vehicle_attitude"}
     assert "ATTITUDE" not in mapping.guess({"vehicle_attitude": 9}, {"vehicle_attitude": ATTITUDE})
 
 

@@ -122,11 +122,6 @@ class MessageRule:
         topics = topics.union(*(rule.topics for rule in self.further))
         return frozenset(topics if self.before is None else topics | {PARAMETERS})
 
-    def text(self) -> str:
-        """Return the rule in a line: message, record, and what is joined to it."""
-        joined = sorted(self.topics - {*self.instances, PARAMETERS})
-        return f"{self.message} from {self.topic}" + (f" with {', '.join(joined)}" if joined else "")
-
     def fillable(self, examples: Mapping[str, Mapping[str, Any]]) -> bool:
         """Return whether a log with such records has all that is needed."""
         needed = {self.topic, *(topic for topic, required in self.linear.items() if required)}

@@ -73,12 +73,6 @@ class RecordingFacts:
         return sum(stream.count for stream in self.streams)
 
 
-def _in_order(entry: tuple[StreamKey, _Stream]) -> tuple[str, str, int, int]:
-    """Return what streams are sorted by."""
-    source, name, system, component = entry[0]
-    return source.name, name, system, component
-
-
 class RecordingMeter:
     """Measures a recording that passes by, in memory that does not grow with it."""
 
@@ -98,7 +92,8 @@ class RecordingMeter:
 
     def facts(self) -> RecordingFacts:
         """Return what was measured so far."""
-        streams = [(key, stream) for key, stream in sorted(self._streams.items(), key=_in_order) if stream.count]
+        ordered = sorted(self._streams.items(), key=lambda entry: (entry[0][0].name, *entry[0][1:]))
+        streams = [(key, stream) for key, stream in ordered if stream.count]
         return RecordingFacts(
             first_ns=min((stream.first_ns for _, stream in streams), default=None),
             last_ns=max((stream.last_ns for _, stream in streams), default=None),
