@@ -29,14 +29,10 @@ from adapters.encoding.record import Record, Schema
 from adapters.encoding.typed_record import TypedRecords
 from adapters.errors import TelemetryError
 from adapters.logs.damage import Damage, counted
-from adapters.logs.mcap_records import RECORD_HEAD, UNREADABLE, McapRecords, records_in
+from adapters.logs.mcap_records import MESSAGE_HEAD, RECORD_HEAD, UNREADABLE, McapRecords, records_in
 from adapters.message import LATEST_NS, Message
 from adapters.source import ZENOH
 
-# head of a record, then of a message
-_MESSAGE = struct.Struct("<BQHIQQ")
-_RECORD_HEAD_BYTES = RECORD_HEAD.size
-_MESSAGE_HEAD_BYTES = _MESSAGE.size - RECORD_HEAD.size
 # the footer and the magic behind it; the checksum is over the summary and the footer up to itself
 _END = struct.Struct("<BQQQI8s")
 _CHECKED_FOOTER_BYTES = 25
@@ -207,39 +203,24 @@ class MessageLogReader:
     def _data(self) -> Iterator[_Raw]:
         """Return topic, log time, publish time and payload of the wanted messages."""
         self._learn_from_index()
-        for opcode, body in self.scan:
-            if opcode == Opcode.CHUNK:
-                yield from self._from_chunk(body)
-            elif opcode == Opcode.MESSAGE:
-                yield from self._from_chunk(RECORD_HEAD.pack(opcode, len(body)) + body)
-            else:
+        for opcode, body in self.scan.flat():
+            if opcode != Opcode.MESSAGE:
                 self._define(opcode, body)
+            elif (message := self._message(body)) is not None:
+                yield message
 
-    def _from_chunk(self, data: bytes) -> Iterator[_Raw]:
-        topics, at, end = self._topics, 0, len(data)
-        last = end - RECORD_HEAD.size
-        unpack_from, message, head_bytes = _MESSAGE.unpack_from, int(Opcode.MESSAGE), _MESSAGE.size
-        # every record is looked at as if it were a message: the last one may be shorter
-        data += bytes(_MESSAGE_HEAD_BYTES)
-        while at <= last:
-            opcode, length, channel, _, time_ns, publish_ns = unpack_from(data, at)
-            start = at
-            at += _RECORD_HEAD_BYTES + length
-            if at > end:
-                return
-            if opcode != message:
-                self._define(opcode, data[start + _RECORD_HEAD_BYTES : at])
-                continue
-            if length < _MESSAGE_HEAD_BYTES:
-                self.damaged_records += 1
-                continue
-            topic = topics.get(channel)
-            if topic is None or time_ns >= LATEST_NS:
-                self.damaged_records += 1
-            elif topic.wanted:
-                yield topic, time_ns, publish_ns, data[start + head_bytes : at]
-            else:
+    def _message(self, body: bytes) -> _Raw | None:
+        """Return a message that is wanted; count any other one."""
+        if len(body) >= MESSAGE_HEAD.size:
+            channel, _, time_ns, publish_ns = MESSAGE_HEAD.unpack_from(body)
+            topic = self._topics.get(channel)
+            if topic is not None and time_ns < LATEST_NS:
+                if topic.wanted:
+                    return topic, time_ns, publish_ns, body[MESSAGE_HEAD.size :]
                 self.other_records += 1
+                return None
+        self.damaged_records += 1
+        return None
 
     def _define(self, opcode: int, body: bytes) -> None:
         """Take in a record that says something about the others."""

@@ -27,6 +27,8 @@ MAX_RECORD_BYTES = 512 * 1024 * 1024
 for it.
 """
 RECORD_HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+"""Channel, sequence, log time, publish time."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
 """Start and end time, size of the records, their checksum, length of the compression's name."""
 UNREADABLE = (struct.error, ValueError, KeyError, OverflowError, EOFError, RuntimeError, zstandard.ZstdError)
@@ -120,6 +122,14 @@ class McapRecords:
             elif not self._search(1):
                 self.broken_off = True
                 return
+
+    def flat(self) -> Iterator[tuple[int, bytes]]:
+        """Return the records with those of chunks in the place of chunks; raises as iteration does."""
+        for opcode, body in self:
+            if opcode == Opcode.CHUNK:
+                yield from records_in(body)
+            else:
+                yield opcode, body
 
     def _record(self, opcode: int, size: int) -> tuple[bytes | None, int]:
         """Return a record's body, None where the file ends within it, and its size, 0 where no record follows."""

@@ -6,7 +6,6 @@ import contextlib
 import fcntl
 import os
 import shutil
-import struct
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -20,10 +19,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import CHUNK_BYTES
-from adapters.logs.mcap_records import UNREADABLE, McapRecords, records_in
-
-# of a message: channel, sequence, log time, publish time
-_MESSAGE = struct.Struct("<HIQQ")
+from adapters.logs.mcap_records import MESSAGE_HEAD, UNREADABLE, McapRecords
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +69,12 @@ def _finish(path: Path, copy_path: Path) -> Recovery:
     scan, cut_bytes = McapRecords(path), 0
     with copy_path.open("wb") as stream:
         copy = _Copy(stream)
-        for opcode, body in scan:
+        for opcode, body in scan.flat():
             if opcode == Opcode.DATA_END:
                 break
-            for record in records_in(body) if opcode == Opcode.CHUNK else [(opcode, body)]:
-                # one that cannot be read is left out
-                with contextlib.suppress(McapError, *UNREADABLE):
-                    copy.add(*record)
+            # one that cannot be read is left out
+            with contextlib.suppress(McapError, *UNREADABLE):
+                copy.add(opcode, body)
         else:
             cut_bytes = path.stat().st_size - (scan.stopped_at or 0)
         copy.begin()
@@ -118,8 +113,10 @@ class _Copy:
             self.begin(header.profile, header.library)
         self.begin()
         if opcode == Opcode.MESSAGE:
-            channel, sequence, time_ns, publish_ns = _MESSAGE.unpack_from(body)
-            self.writer.add_message(self._channels[channel][1], time_ns, body[_MESSAGE.size :], publish_ns, sequence)
+            channel, sequence, time_ns, publish_ns = MESSAGE_HEAD.unpack_from(body)
+            self.writer.add_message(
+                self._channels[channel][1], time_ns, body[MESSAGE_HEAD.size :], publish_ns, sequence
+            )
             self.messages += 1
         elif opcode == Opcode.SCHEMA:
             self._add_schema(Schema.read(stream))
