@@ -274,7 +274,7 @@ def test_values_that_stand_still_in_flight_accuse_nobody_and_blind(
     ]
     [blind] = [event for event in events_of(quad_profile, attacked) if event.state == "raised"]
     assert (blind.channel, blind.observer) == ("blind", "monitor")
-    assert f"{name} that stands still" in blind.message
+    assert f"{name} frozen" in blind.message
     assert blind.time_ns - start_ns < 5_400_000_000
 
 
