@@ -361,6 +361,7 @@ class Pipeline:
         allowed = allows(self.profile.gate, self._phase)
         for stage in self._stages:
             stage.enter(allowed)
+        clock.flies = allowed and bool(self._phase.armed)
         batch = cut(arrivals.batch, start, segment.stop)
         taken = sample_batch(self._clock, self._samplers, batch, stops=True)
         if taken.used < batch.count:

@@ -278,17 +278,49 @@ def test_values_that_stand_still_in_flight_accuse_nobody_and_blind(
     assert blind.time_ns - start_ns < 5_400_000_000
 
 
-def test_a_reboot_is_no_impostor(quad_profile: Profile, square: list[Message]) -> None:
-    half = len(square) // 2
-    names = {"time_boot_ms": 60_000, "time_usec": 60_000_000}
-    rebooted = [
-        replace(
-            m,
-            fields={**m.fields, **{name: m.fields[name] - back for name, back in names.items() if m.fields.get(name)}},
-        )
-        for m in square[half:]
+def set_back(messages: list[Message], by_ms: int, silent_s: float = 0.0) -> list[Message]:
+    """Return messages whose second half has earlier stamps, after a silence."""
+    half, units = len(messages) // 2, {"time_boot_ms": 1, "time_usec": 1000}
+    back = [
+        replace(m, fields={**m.fields, **{n: m.fields[n] - by_ms * u for n, u in units.items() if m.fields.get(n)}})
+        for m in messages[half:]
+        if m.received_ns - messages[half].received_ns >= round(silent_s * 1e9)
     ]
-    assert [event for event in events_of(quad_profile, square[:half] + rebooted) if event.channel == "impostor"] == []
+    return messages[:half] + back
+
+
+def test_a_reboot_in_flight_is_no_impostor_and_the_watch_goes_on(quad_profile: Profile, square: list[Message]) -> None:
+    newest_ms = max(m.fields.get("time_boot_ms", 0) for m in square[: len(square) // 2])
+    pipeline = Pipeline(quad_profile)
+    events = events_of(quad_profile, set_back(square, newest_ms, silent_s=2.0), pipeline)
+    assert [event for event in events if event.channel in ("impostor", "blind")] == []
+    assert pipeline.statistics()["motors"].clock_restarts == 1
+
+
+@pytest.mark.parametrize("by_s", [4, 60])
+def test_a_clock_that_goes_back_in_flight_without_a_reboot_is_an_impostors(
+    quad_profile: Profile, square: list[Message], by_s: int
+) -> None:
+    start_ns = square[len(square) // 2].received_ns
+    events = events_of(quad_profile, set_back(square, 1000 * by_s))
+    raised = {event.channel: event.time_ns - start_ns for event in events if event.state == "raised"}
+    assert raised["impostor"] < 2_000_000_000
+    # a clock that is 4 s behind has caught up before
+    assert by_s == 4 or raised["blind"] < 5_500_000_000
+
+
+def test_a_stretch_that_is_sent_over_and_over_with_its_own_stamps_is_an_impostors(
+    quad_profile: Profile, square: list[Message]
+) -> None:
+    half, loop_ns = len(square) // 2, 3_000_000_000
+    start_ns = square[half].received_ns
+    stretch = [m for m in square[:half] if m.received_ns >= start_ns - loop_ns]
+    again = [replace(m, received_ns=m.received_ns + (k + 1) * loop_ns) for k in range(6) for m in stretch]
+    events = events_of(quad_profile, square[:half] + again)
+    raised = {event.channel: event.time_ns - start_ns for event in events if event.state == "raised"}
+    assert raised["impostor"] < 2_000_000_000
+    assert raised["blind"] < 5_500_000_000
+    assert not any(event.state == "cleared" for event in events)
 
 
 def test_the_alarm_clears_when_the_forgeries_end(quad_profile: Profile, square: list[Message]) -> None:

@@ -51,7 +51,7 @@ def test_a_slow_crystal_is_followed() -> None:
 def test_a_single_damaged_stamp_changes_nothing() -> None:
     clock = running()
     before = clock.to_unix(0)
-    for damaged in (5 * SECOND, 99 * SECOND - 2, 105 * SECOND, 10_000 * SECOND, 1 << 61):
+    for damaged in (5 * SECOND, 94 * SECOND, 105 * SECOND, 10_000 * SECOND, 1 << 61):
         assert not clock.observe(damaged, UNIX + 100 * SECOND)
         assert clock.observe(100 * SECOND, UNIX + 100 * SECOND + 9 * MS)
         assert (clock.boot, clock.newest_ns, clock.to_unix(0)) == (0, 100 * SECOND, before)

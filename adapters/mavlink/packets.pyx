@@ -24,6 +24,8 @@ cdef uint64_t LATEST_US = LATEST_NS // 1_000  # where a later time stands, no re
 # How long a packet's number is remembered. A vehicle that starts anew is away for longer; where it is not, conflicts
 # end as soon, for what it sent before is forgotten.
 cdef int64_t FRESH_NS = 2_000_000_000
+# So much later a packet may come a second time over a slower radio; as core/sampling.pyx has it.
+cdef int64_t HELD_NS = 5_000_000_000
 # Further behind a packet that was not missing is the first after a restart. Chosen: more than networks reorder.
 cdef int REORDERED = 32
 # After a longer silence a number is taken to be ahead: so many may have been lost that it seems to lie behind. Chosen:
@@ -489,8 +491,11 @@ cdef class SequenceCounter:
         known.received_ns = row.received_ns
         ahead = (row.sequence - known.newest) & 0xFF
         index = known.newest + (ahead if ahead < 128 or silent else ahead - 256)
-        # A turn of numbers later one packet of 65,536 has the same checksum and is none that came twice.
-        if fresh and before.checksum == checksum and (silent or before.index == index):
+        # Twice, over two radios for instance. A turn of numbers later one packet of 65,536 has the same checksum, too, but
+        # it is the next one.
+        if 0 <= row.received_ns - before.received_ns < HELD_NS and before.checksum == checksum and (
+            before.index == index or ahead != 1
+        ):
             return False
         gone = (row.sequence - known.counted) & 0xFF
         if before.received_ns == MISSING and before.index == index:

@@ -54,8 +54,6 @@ cdef long long WINDOW = 10_000_000_000
 # as fast, lose or hold back (tests/test_monitor_interleaved.py): noise made four within 10 s, never eight in 64
 # rows.
 cdef long long SHARE = 64
-# A row so much older than the newest is of another time of the clock: its tolerance (core/sampling.pyx).
-cdef long long AWAY = 1_000_000_000
 
 
 cdef class Interleaved:
@@ -92,9 +90,6 @@ cdef class Interleaved:
         cdef bint other = False
         if self._plural:
             return False
-        if self._count and stamp < self._stamps[self._count - 1] - AWAY:
-            self.clear()
-            place = 0
         while place and self._stamps[place - 1] > stamp:
             place -= 1
         if place and self._stamps[place - 1] == stamp:

@@ -15,6 +15,7 @@ RAW_LINE_S: float
 MAX_GAP_S: float
 
 class VehicleClock:
+    flies: bool
     @property
     def boot(self) -> int: ...
     @property

@@ -91,14 +91,25 @@ cdef nanoseconds _CLOCKLESS = -2
 # Messages of one vehicle overtake each other by less: the longest silence of a link in 12 recorded flights is 0.11 s. A
 # reboot steps back by the time since the last one, which is more as soon as anything can fly.
 cdef nanoseconds _TOLERANCE = _SECOND
-# A stamp earlier than the least delayed ones by more is no jitter but another sender's: of 90 recordings the clocks'
-# least delays differ from minute to minute by less than 0.1 s.
+# A stamp earlier than the least delayed ones by more may be another sender's: of 90 recordings the clocks' least delays
+# differ from minute to minute by less than 0.1 s.
 cdef nanoseconds _EARLY = 250 * _MILLISECOND
+# A link holds messages back for less, and its quicker and slower ways differ by less: radios with a queue of 57,600 baud
+# and mobile networks by up to 3 s (docs/limits.md). What is older comes from another clock.
+cdef nanoseconds _HELD = 5 * _SECOND
+# As many times the usual a message may be behind. Chosen: the largest of a minute is exceeded in the next one half of
+# the time, by half hardly ever.
+cdef int _BEHIND = 3  # halves
+# How long the largest of what came behind is remembered, at least: as long as delays are.
+cdef nanoseconds _REMEMBERED = 60 * _SECOND
 # Chosen: as long as that of the flight phase (monitor/sampling/phase.py).
 cdef nanoseconds _CONTEST = 10 * _SECOND
 cdef int _RIVALS = 3
 # A vehicle that was switched off is silent for longer; the longest silence of a radio was 2.5 s.
 cdef nanoseconds _AWAY = 3 * _SECOND
+# In flight another clock, which no reboot explains, is followed only after as long without the vehicle's own. Chosen: as
+# long as a contest, so that what comes of it is never taken for the vehicle's while nothing is said.
+cdef nanoseconds _REPLACED = 10 * _SECOND
 # Chosen: after a longer silence nothing of what was estimated before it is of use, so starting anew costs nothing.
 cdef nanoseconds _JUMP = 10 * _SECOND
 # A minute of least delays, twelve of them: after it a clock with 200 ppm of skew behind up to 20 ms of jitter is mapped
@@ -203,17 +214,27 @@ cdef struct Point:
 cdef class VehicleClock:
     """Follows one vehicle's clock through its messages, and depends on nothing but them.
 
-    Belief. A stamp within 1 s of the newest one, before or after, is believed at once, unless it leads: is more than
-    0.25 s ahead both of the newest and of when it arrives, after the first 5 s. It is believed when others have led as
-    far for 0.25 s, and none came between that did not: the clock was set. One further away is believed only when the
-    next message has another stamp near it (at most 1 s before or 10 s after), so a single damaged stamp changes
-    nothing. Once believed, a step back of more than 1 s is a reboot and a step ahead of more than 10 s a clock that
-    was set: both start the clock anew and count in ``boot``.
+    Belief. A stamp within 1 s of the newest one, before or after, is believed at once, and one that is up to 5 s
+    behind: a link held it back. One leads that is up to 5 s ahead both of the newest and of when it arrives (by more than
+    0.25 s, after the first 5 s). It is believed when others have led as far for 0.25 s, and none came between that did
+    not: the clock was set, or the link became quicker. One further away is believed only when the next message has
+    another stamp near it (at most 1 s before or 10 s after), so a single damaged stamp changes nothing. Once believed, a
+    step back of more than 1 s is a reboot and a step ahead of more than 10 s a clock that was set: both start the clock
+    anew and count in ``boot``.
 
-    Contests. Far stamps that go on as fast as time while near ones of the same channel come in between are another
-    sender's, as are single stamps further ahead of their arrival than any before them. Three of them within 10 s are a
-    contest, which lasts until none came for 10 s. Meanwhile no other clock is believed, unless this one has been silent
-    for 3 s.
+    Reboots. The clock of a vehicle that started anew shows at most the time since its last message. In flight no other
+    clock is followed, unless the vehicle's own has been away for 10 s; then it counts as another sender's until the end
+    of the flight.
+
+    Contests. Two senders contradict each other, and jitter does not, where
+    - a message leads, those behind it come later by more than any of the last minute did, and they go on beyond it: a
+      link that became quicker, by its other way, brings nothing of later times the slower way. Two such in 10 s;
+    - far stamps go on as fast as time while near ones of the same channel come in between, for longer than a link holds
+      messages back;
+    - in flight the vehicle's time stands still while others come, for a second and half as long again as the longest
+      time by which one was behind in the last minute.
+    Such findings, three within 10 s, are a contest, which lasts until none came for 10 s. Meanwhile no other clock is
+    believed, unless this one has been silent for 3 s on the ground.
 
     Mapping. Arrival minus stamp is the clocks' offset, which drifts with the crystals' skew, plus a delay that is
     never negative. Of each 5 s of vehicle time the least delayed packet is kept, for 60 s. The line below all of
@@ -236,6 +257,8 @@ cdef class VehicleClock:
         Unix time until which the clock is contested; 0: it never was.
     rival_ns : int
         By how much the other sender's stamps were ahead when the contest began.
+    flies : bool
+        Whether the vehicle says that it is in flight, where a clock is not set, and no vehicle replaced by another.
     splits : dict[str, int]
         Messages that have two senders by their values, and until which Unix time each is taken to.
     repeats : dict[str, int]
@@ -246,20 +269,25 @@ cdef class VehicleClock:
     cdef readonly nanoseconds newest_ns
     cdef readonly bint running
     cdef readonly nanoseconds contested_ns, rival_ns
+    cdef public bint flies
     cdef readonly dict splits, repeats
     cdef bint _has_candidate, _has_doubtful
-    # A stamp of another clock and its arrival, and how many of them came since when; whether near ones came after it,
-    # also of the channel that the next one is of; when the last near one arrived.
+    # A stamp of another clock and its arrival, since when such go on, and how many findings came since when; whether near
+    # ones came after it, also of the channel that the next one is of; when a near one and a newer one arrived last.
     cdef Point _rival
-    cdef bint _has_rival, _interleaved, _shared, _began
+    cdef bint _has_rival, _interleaved, _shared, _began, _replaced
     cdef int _rivals
-    cdef nanoseconds _rivals_since, _near_received
+    cdef nanoseconds _rival_since, _rivals_since, _found_received, _near_received, _newer_received
     cdef nanoseconds _candidate
     cdef Point _doubtful
-    # The last stamp that led and its arrival, and since when they lead.
-    cdef Point _leader
+    # The last stamp that led and its arrival, since when they lead; the first of those that others came behind, and how
+    # many did.
+    cdef Point _leader, _passed
     cdef bint _led
     cdef nanoseconds _led_since
+    cdef int _overtaken
+    # The most by which one was behind the newest, since that came, in this minute and in the one before; the minute's end.
+    cdef nanoseconds _standing, _behind, _behind_before, _minute_end
     cdef Point[_MOST_POINTS] _points
     cdef int _count
     # The line: through a point, rise / run its slope.
@@ -312,41 +340,80 @@ cdef class VehicleClock:
         return stamp
 
     cdef bint _observe(self, nanoseconds stamp, nanoseconds received) noexcept:
+        cdef nanoseconds behind = self.newest_ns - stamp
+        cdef bint was_held = self._count and _TOLERANCE < behind <= _HELD
         cdef Point point
-        if self._near(stamp):
+        if self._replaced:
+            self._replaced = self.flies
+            if self._replaced:
+                self._contest(_RIVALS, self.rival_ns, received)
+        if self._near(stamp) or (was_held and not self._rebooted(stamp, received)):
             if self._leads(stamp, received):
                 return False
             self._interleaved = True
+            self._stand(behind, received)
+        elif self._count > 1 and -_HELD <= behind < 0 and self._leads(stamp, received):
+            return False
         else:
             if self._is_rival(stamp, received) or not self._confirmed(stamp):
                 return False
             if not -_TOLERANCE <= stamp - self.newest_ns <= _JUMP:
+                self._replaced |= self._is_foreign(stamp, received)
                 self.boot += 1
                 self.running = False
-                self._count = 0
-                self._has_doubtful = False
+                self._count = self._overtaken = 0
+                self._behind = self._behind_before = self._standing = 0
+                self._has_doubtful = self._led = False
                 # Should the clock from before go on, there are two.
                 self._rival.stamp, self._rival.delay = self.newest_ns, self._near_received - self.newest_ns
+                self._rival_since = received - _HELD
         self._has_candidate = False
         self._near_received = received
         if stamp > self.newest_ns or not self.running:
             self.newest_ns = stamp
             self.running = True
+            self._newer_received = received
+            self._behind, self._standing = max(self._behind, self._standing), 0
         point.stamp = stamp
         point.delay = received - stamp
         self._learn(point)
         return True
 
+    cdef inline bint _rebooted(self, nanoseconds stamp, nanoseconds received) noexcept:
+        """Return whether a vehicle that started anew after its last message may have given a stamp."""
+        cdef nanoseconds silence = received - self._near_received
+        return stamp <= silence + (_HELD if silence >= _TOLERANCE else _TOLERANCE)
+
+    cdef bint _is_foreign(self, nanoseconds stamp, nanoseconds received) noexcept:
+        """Return whether a stamp far from the newest one can be the vehicle's only if it does not fly."""
+        if not self.flies or self._count < 2 or self._rebooted(stamp, received):
+            return False
+        return stamp < self.newest_ns or self._delay_at(stamp) - (<wide>received - stamp) > _HELD
+
+    cdef void _stand(self, nanoseconds behind, nanoseconds received) noexcept:
+        """Learn by how much a message is behind the newest one, or that the vehicle's time stands still."""
+        cdef nanoseconds stood = received - self._newer_received
+        if received >= self._minute_end or self._minute_end - received > _REMEMBERED:
+            self._behind_before, self._behind, self._minute_end = self._behind, 0, received + _REMEMBERED
+        # It is behind what comes next, too: where nothing does, the vehicle's time stands still.
+        self._standing = max(self._standing, behind)
+        if self.flies and self._count > 1 and behind > _EARLY and stood > _TOLERANCE + _BEHIND * self._usually_behind() // 2:
+            self._contest(1, behind, received)
+
+    cdef inline nanoseconds _usually_behind(self) noexcept:
+        return max(self._behind, self._behind_before)
+
     cdef bint _leads(self, nanoseconds stamp, nanoseconds received) noexcept:
-        """Learn a stamp near the newest one; return whether it leads, which none has done for long."""
+        """Learn a stamp; return whether it leads, which none has done for long."""
         cdef nanoseconds delay = received - stamp, ahead = stamp - self.newest_ns
         cdef wide apart = <wide>delay - self._leader.delay
         # What a link held up before it was opened comes at once, and the least delay is not known before 5 s.
         if self._count < 2 or ahead <= _EARLY or self._delay_at(stamp) - delay <= _EARLY:
             if self._led and received > self._leader.stamp + self._leader.delay:
                 self._led = False
-                # Nothing but another clock makes a stamp lead: two of them are enough.
-                self._contest(_RIVALS - 1, self._leader.stamp - self.newest_ns, received)
+                self._overtake(self._leader, stamp, received)
+            if self._overtaken >= _RIVALS - 1 and stamp > self._passed.stamp:
+                self._contest(_RIVALS, self._leader.stamp - self.newest_ns, received)
             return False
         if not self._led or not -_EARLY <= apart <= _EARLY:
             self._led, self._led_since = True, received
@@ -354,24 +421,46 @@ cdef class VehicleClock:
         self._led = received - self._led_since < _EARLY
         return self._led
 
+    cdef void _overtake(self, Point leader, nanoseconds stamp, nanoseconds received) noexcept:
+        """Learn a stamp that came after one that led."""
+        if leader.stamp - stamp <= min(_EARLY // 2 + _BEHIND * self._usually_behind() // 2, _HELD):
+            return
+        if not 0 <= received - self._passed.stamp - self._passed.delay < _CONTEST:
+            self._overtaken, self._passed = 0, leader
+        self._overtaken += 1
+
     cdef bint _is_rival(self, nanoseconds stamp, nanoseconds received) noexcept:
         """Learn a stamp far from the newest one; return whether it is a rival's, while the clock is contested."""
         cdef wide apart = <wide>received - stamp - self._rival.delay
         cdef nanoseconds gone = received - self._rival.delay - self._rival.stamp
-        cdef wide foreign = self._delay_at(stamp) - (<wide>received - stamp)
-        if self._count and -_EARLY <= foreign <= _EARLY:
+        cdef wide early = self._delay_at(stamp) - (<wide>received - stamp)
+        cdef bint goes_on = self._has_rival and 0 <= gone <= _CONTEST and -_TOLERANCE <= apart <= _TOLERANCE
+        cdef bint foreign
+        if self._count and -_HELD <= early <= _EARLY:
             # The vehicle's own, after a silence of the link.
             return False
+        if not goes_on:
+            self._rival_since = received
+        foreign = self._is_foreign(stamp, received)
         if self._has_rival and not (self._rival.stamp == stamp and gone == 0):
-            if self._interleaved and self._shared and 0 <= gone <= _CONTEST and -_TOLERANCE <= apart <= _TOLERANCE:
+            if foreign and received - self._newer_received > _TOLERANCE:
+                self._contest(1, _bounded(early), received)
+            elif goes_on and self._interleaved and self._shared and (
+                not -_HELD <= early <= _HELD or received - self._rival_since > early
+            ):
                 self._contest(1, stamp - self.newest_ns, received)
             self._interleaved = False
         self._has_rival = True
         self._rival.stamp, self._rival.delay = stamp, received - stamp
+        if foreign:
+            return received - max(self._rival_since, self._near_received) < _REPLACED
         return received < self.contested_ns and received - self._near_received < _AWAY
 
     cdef void _contest(self, int count, nanoseconds ahead, nanoseconds received) noexcept:
-        """Count a stamp that only another sender can have given, as so many."""
+        """Count a message that only another sender can have sent, once, as so many findings."""
+        if received == self._found_received:
+            return
+        self._found_received = received
         if not 0 <= received - self._rivals_since < _CONTEST:
             self._rivals, self._rivals_since = 0, received
         self._rivals += count
@@ -421,9 +510,6 @@ cdef class VehicleClock:
             if not had or before.stamp == point.stamp or apart > _EARLY or apart < -_EARLY:
                 return
             self._count = 0
-        elif self._has_doubtful and self._count > 1 and point.stamp != self._doubtful.stamp:
-            apart = self._delay_at(self._doubtful.stamp) - self._doubtful.delay
-            self._contest(1, <nanoseconds>apart, point.stamp + point.delay)
         self._has_doubtful = False
         bucket = point.stamp // _BUCKET
         if not self._count or bucket > self._points[self._count - 1].stamp // _BUCKET:
@@ -911,7 +997,7 @@ cdef class Stream:
         cdef nanoseconds stood = stamp - self.changed
         cdef Lane lane
         cdef bint was = False, still
-        if not self.restless or 0 <= self.compared - stamp < _TOLERANCE:
+        if not self.restless or 0 <= self.compared - stamp < _HELD:
             return False
         self.compared = stamp
         still = memcmp(row, self.newest, self.width * sizeof(double)) == 0
@@ -1187,6 +1273,9 @@ cdef class SamplerCore:
         self._clock_restarts += 1
         for lane in self._lanes:
             lane.clear()
+        for streams in self._streams.values():
+            for stream in streams:
+                (<Stream>stream).senders.clear()
         self._waiting = None
         self._newest = self._resumed = 0
         self._started = self._has_unix = False

@@ -4,7 +4,7 @@ The newest report holds, unless two senders answer by turns. Reports of one send
 that changes and changes back the reports around it are two periods apart. Where another's come in between they are
 one. So reports are contested from a single such change on where the two reports before it and the two after it agree
 and kept their period without it, as seldom as it may come; else from the third within 10 s on, or from the eighth
-change of any kind. Then the vehicle is taken to be the one that flies as long as reports say so: watched on the ground
+change of any kind over more than 3.5 s. Then the vehicle is taken to be the one that flies as long as reports say so: watched on the ground
 it may raise an alarm too many, not watched in the air it may fall.
 
 A vehicle that is armed does not become another one, nor does one in the air take off: who says so is another sender.
@@ -48,6 +48,8 @@ _TURNS = 3
 second; a second sender at the vehicle's own rate makes them in 2 s."""
 _CHANGES = 8
 """Changes at any rate that are one: landing and bouncing twice are six. A second sender makes them in 4 s."""
+_HELD_NS = 3_500_000_000
+"""How long they last then: a slower radio of two says until 3 s later what is over (docs/limits.md)."""
 _PERIODS = 1.5
 """Longest step that is one period and not two, of reports with a jitter of half a period; by as much one is shorter
 where they keep it, and do not come together as from a link that holds them back."""
@@ -93,13 +95,14 @@ class Said(NamedTuple):
 
 
 def _contested(times: tuple[int, ...], values: tuple[object, ...]) -> bool:
-    changes = sum(a != b for a, b in pairwise(values))
-    if changes >= _CHANGES:
+    changes = [time for time, (a, b) in zip(times[1:], pairwise(values), strict=True) if a != b]
+    if len(changes) >= _CHANGES and changes[-1] - changes[0] > _HELD_NS:
         return True
     steps = sorted(b - a for (a, x), (b, y) in pairwise(zip(times, values, strict=True)) if x == y)
     if not steps:
         return False
-    period = steps[len(steps) // 2]
+    # Of two radios that bring each report twice the steps are unlike, and as many as twice.
+    period = min(steps[len(steps) // 2], sum(steps) // len(steps))
     between = [
         i
         for i in range(1, len(values) - 1)
