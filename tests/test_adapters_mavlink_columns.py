@@ -85,5 +85,10 @@ def test_a_sender_that_starts_anew_is_not_two(away_s: float) -> None:
     assert findings(stream(10, 50, 100) + stream(10, 50, 0, start_s=10.0 + away_s)) == []
 
 
+def test_a_second_radio_that_is_seconds_late_makes_no_second_sender() -> None:
+    once = stream(30, 40)
+    assert findings(once + [(time_s + 3.5, packet) for time_s, packet in once]) == []
+
+
 def test_a_sender_that_does_not_count_is_not_two() -> None:
     assert findings(stream(10, 50, counts=False)) == []

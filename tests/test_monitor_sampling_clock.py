@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
+from itertools import accumulate
 
 import pytest
 from hypothesis import given, settings
@@ -86,6 +88,50 @@ def test_what_a_radio_held_up_before_its_link_was_opened_is_no_second_clock() ->
         clock.observe(12 * SECOND + k // 3 * 500 * MS, UNIX + 13 * SECOND + arrival_ms * MS)
     assert clock.newest_ns == 12 * SECOND + 2500 * MS
     assert clock.contested_ns == 0
+
+
+def held(draw: random.Random) -> float:
+    """Return how long a poor radio or a mobile network holds a message back, seconds."""
+    return min(0.5 + 0.15 * draw.paretovariate(1.1), 2.6)
+
+
+def in_order(sent: list[float], draw: random.Random) -> list[tuple[float, float]]:
+    arrivals = accumulate((s + held(draw) for s in sent), max)
+    return list(zip(arrivals, sent, strict=True))
+
+
+def overtaking(sent: list[float], draw: random.Random) -> list[tuple[float, float]]:
+    return [(s + draw.uniform(0.5, 2.6), s) for s in sent]
+
+
+def over_two_radios(sent: list[float], draw: random.Random) -> list[tuple[float, float]]:
+    return [(s + 0.05, s) for s in sent] + in_order(sent, draw)
+
+
+def by_another_way(sent: list[float], draw: random.Random) -> list[tuple[float, float]]:
+    """Let the link become quicker by 2.4 s every 30 s, and slow again; what is on the slower way comes by that."""
+    return [(s + (2.5 if s // 30 % 2 else 0.1) + draw.expovariate(20.0), s) for s in sent]
+
+
+def in_backlogs(sent: list[float], draw: random.Random) -> list[tuple[float, float]]:
+    """Bring nothing for up to 3 s again and again, and then all at once."""
+    ends = {k: 4 * k + 1.0 + draw.uniform(0.5, 3.0) for k in range(60)}
+    return [(max(s + 0.05, ends[k]) if s >= 4 * k + 1.0 else s + 0.05, s) for s in sent for k in [int(s // 4)]]
+
+
+@pytest.mark.parametrize("rate_hz", [5, 40])
+@pytest.mark.parametrize("skew_ppm", [0, 100])
+@pytest.mark.parametrize("link", [in_order, overtaking, over_two_radios, by_another_way, in_backlogs])
+def test_a_link_that_holds_back_and_overtakes_by_seconds_is_no_second_clock_and_no_reboot(
+    link: Callable[[list[float], random.Random], list[tuple[float, float]]], rate_hz: int, skew_ppm: int
+) -> None:
+    for seed in range(3):
+        clock, draw = VehicleClock(), random.Random(seed)
+        clock.flies = True
+        for arrival_s, sent_s in sorted(link([k / rate_hz for k in range(180 * rate_hz)], draw)):
+            clock.observe(round((20.0 + sent_s) * SECOND), UNIX + round(arrival_s * (1e9 + 1e3 * skew_ppm)))
+        assert (clock.contested_ns, clock.boot) == (0, 0)
+        assert clock.newest_ns > 199 * SECOND
 
 
 def test_a_jump_ahead_of_more_than_ten_seconds_starts_anew() -> None:

@@ -129,9 +129,10 @@ def test_in_the_vehicles_own_log_which_holds_each_change_no_report_is_contested(
     assert all(not contested for _, _, contested in found)
 
 
-def test_a_landing_reported_over_two_links_a_second_apart_is_no_contest() -> None:
+@pytest.mark.parametrize("lag_s", [1.2, 2.3, 3.0])
+def test_a_landing_reported_over_two_links_up_to_three_seconds_apart_is_no_contest(lag_s: float) -> None:
     says = [209] * 10 + [81] * 10
-    found = states([beat(at + delay, mode) for at, mode in enumerate(says) for delay in (0.02, 1.2)])
+    found = states([beat(at + delay, mode) for at, mode in enumerate(says) for delay in (0.02, lag_s)])
     assert all(not contested for _, _, contested in found)
     assert found[-1][0] is False
 
