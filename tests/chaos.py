@@ -21,7 +21,7 @@ first ten are those that made it blind, fall silent or grow without bound while 
 | JSON objects of megabytes; subscribers that stall | test_chaos_zenoh | huge_payloads |
 | a full disk and kill -9, again and again | test_chaos_crash | killed, full_disk |
 | the same forgeries at other rates and times, into two autopilots | test_monitor_impostor | hides, hide |
-| a clock that goes back, a stretch sent over and over under its own stamps | test_monitor_impostor | goes_back, over_and_over |
+| a clock that goes back, a stretch sent over and over | test_monitor_impostor | goes_back, over_and_over |
 | forged values among true ones, from the first message on | test_monitor_interleaved | two_senders |
 | damaged bytes, poisoned values, forged signatures, reboots | test_chaos_hostile | failing_motor |
 | loss, duplicates, reordering, silence | test_chaos_network | failing_motor |

@@ -323,7 +323,7 @@ def test_a_reboot_during_an_alarm_neither_loses_nor_mutes_it_nor_raises_it_twice
     quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent]
 ) -> None:
     raised, *_ = expected
-    # The flight once more, with the vehicle's clock back at its beginning, as long after it as a reboot takes to be there.
+    # The flight once more, its clock back at the beginning, as long after it as a reboot takes to come there.
     boot_ns = next(m.fields["time_boot_ms"] for m in flight if "time_boot_ms" in m.fields) * 1_000_000
     lasted = flight[-1].received_ns - flight[0].received_ns + boot_ns
     again = [dataclasses.replace(message, received_ns=message.received_ns + lasted) for message in flight]

@@ -491,8 +491,8 @@ cdef class SequenceCounter:
         known.received_ns = row.received_ns
         ahead = (row.sequence - known.newest) & 0xFF
         index = known.newest + (ahead if ahead < 128 or silent else ahead - 256)
-        # Twice, over two radios for instance. A turn of numbers later one packet of 65,536 has the same checksum, too, but
-        # it is the next one.
+        # Twice, over two radios for instance. A turn of numbers later one packet of 65,536 has the same checksum, too,
+        # but it is the next one.
         if 0 <= row.received_ns - before.received_ns < HELD_NS and before.checksum == checksum and (
             before.index == index or ahead != 1
         ):

@@ -94,12 +94,12 @@ cdef nanoseconds _TOLERANCE = _SECOND
 # A stamp earlier than the least delayed ones by more may be another sender's: of 90 recordings the clocks' least delays
 # differ from minute to minute by less than 0.1 s.
 cdef nanoseconds _EARLY = 250 * _MILLISECOND
-# A link holds messages back for less, and its quicker and slower ways differ by less: radios with a queue of 57,600 baud
-# and mobile networks by up to 3 s (docs/limits.md). What is older comes from another clock.
+# A link holds messages back for less, and its quicker and slower ways differ by less: radios with a queue of 57,600
+# baud and mobile networks by up to 3 s (docs/limits.md). What is older comes from another clock.
 cdef nanoseconds _HELD = 5 * _SECOND
-# As many times the usual a message may be behind. Chosen: the largest of a minute is exceeded in the next one half of
-# the time, by half hardly ever.
-cdef int _BEHIND = 3  # halves
+# By how much more than the most of the last minute a message may be behind, in halves of it. Chosen: the most of one
+# minute is exceeded in the next one half of the time, by half hardly ever.
+cdef int _BEHIND = 3
 # How long the largest of what came behind is remembered, at least: as long as delays are.
 cdef nanoseconds _REMEMBERED = 60 * _SECOND
 # Chosen: as long as that of the flight phase (monitor/sampling/phase.py).
@@ -107,8 +107,8 @@ cdef nanoseconds _CONTEST = 10 * _SECOND
 cdef int _RIVALS = 3
 # A vehicle that was switched off is silent for longer; the longest silence of a radio was 2.5 s.
 cdef nanoseconds _AWAY = 3 * _SECOND
-# In flight another clock, which no reboot explains, is followed only after as long without the vehicle's own. Chosen: as
-# long as a contest, so that what comes of it is never taken for the vehicle's while nothing is said.
+# In flight another clock, which no reboot explains, is followed only after as long without the vehicle's own. Chosen:
+# as long as a contest, so that what comes of it is never taken for the vehicle's while nothing is said.
 cdef nanoseconds _REPLACED = 10 * _SECOND
 # Chosen: after a longer silence nothing of what was estimated before it is of use, so starting anew costs nothing.
 cdef nanoseconds _JUMP = 10 * _SECOND
@@ -215,12 +215,12 @@ cdef class VehicleClock:
     """Follows one vehicle's clock through its messages, and depends on nothing but them.
 
     Belief. A stamp within 1 s of the newest one, before or after, is believed at once, and one that is up to 5 s
-    behind: a link held it back. One leads that is up to 5 s ahead both of the newest and of when it arrives (by more than
-    0.25 s, after the first 5 s). It is believed when others have led as far for 0.25 s, and none came between that did
-    not: the clock was set, or the link became quicker. One further away is believed only when the next message has
-    another stamp near it (at most 1 s before or 10 s after), so a single damaged stamp changes nothing. Once believed, a
-    step back of more than 1 s is a reboot and a step ahead of more than 10 s a clock that was set: both start the clock
-    anew and count in ``boot``.
+    behind: a link held it back. One leads that is up to 5 s ahead both of the newest and of when it arrives (by more
+    than 0.25 s, after the first 5 s). It is believed when others have led as far for 0.25 s, and none came between that
+    did not: the clock was set, or the link became quicker. One further away is believed only when the next message has
+    another stamp near it (at most 1 s before or 10 s after), so a single damaged stamp changes nothing. Once believed,
+    a step back of more than 1 s is a reboot and a step ahead of more than 10 s a clock that was set: both start the
+    clock anew and count in ``boot``.
 
     Reboots. The clock of a vehicle that started anew shows at most the time since its last message. In flight no other
     clock is followed, unless the vehicle's own has been away for 10 s; then it counts as another sender's until the end
@@ -272,8 +272,8 @@ cdef class VehicleClock:
     cdef public bint flies
     cdef readonly dict splits, repeats
     cdef bint _has_candidate, _has_doubtful
-    # A stamp of another clock and its arrival, since when such go on, and how many findings came since when; whether near
-    # ones came after it, also of the channel that the next one is of; when a near one and a newer one arrived last.
+    # A stamp of another clock and its arrival, since when such go on, and how many findings came since when; whether
+    # near ones came after it, also of the channel that the next one is of; when a near and a newer one arrived last.
     cdef Point _rival
     cdef bint _has_rival, _interleaved, _shared, _began, _replaced
     cdef int _rivals
@@ -286,7 +286,7 @@ cdef class VehicleClock:
     cdef bint _led
     cdef nanoseconds _led_since
     cdef int _overtaken
-    # The most by which one was behind the newest, since that came, in this minute and in the one before; the minute's end.
+    # The most by which one was behind the newest: since that came, in this minute and in the one before; its end.
     cdef nanoseconds _standing, _behind, _behind_before, _minute_end
     cdef Point[_MOST_POINTS] _points
     cdef int _count
@@ -397,8 +397,9 @@ cdef class VehicleClock:
             self._behind_before, self._behind, self._minute_end = self._behind, 0, received + _REMEMBERED
         # It is behind what comes next, too: where nothing does, the vehicle's time stands still.
         self._standing = max(self._standing, behind)
-        if self.flies and self._count > 1 and behind > _EARLY and stood > _TOLERANCE + _BEHIND * self._usually_behind() // 2:
-            self._contest(1, behind, received)
+        if self.flies and self._count > 1 and behind > _EARLY:
+            if stood > _TOLERANCE + _BEHIND * self._usually_behind() // 2:
+                self._contest(1, behind, received)
 
     cdef inline nanoseconds _usually_behind(self) noexcept:
         return max(self._behind, self._behind_before)

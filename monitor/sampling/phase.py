@@ -4,8 +4,8 @@ The newest report holds, unless two senders answer by turns. Reports of one send
 that changes and changes back the reports around it are two periods apart. Where another's come in between they are
 one. So reports are contested from a single such change on where the two reports before it and the two after it agree
 and kept their period without it, as seldom as it may come; else from the third within 10 s on, or from the eighth
-change of any kind over more than 3.5 s. Then the vehicle is taken to be the one that flies as long as reports say so: watched on the ground
-it may raise an alarm too many, not watched in the air it may fall.
+change of any kind over more than 3.5 s. Then the vehicle is taken to be the one that flies as long as reports say so:
+watched on the ground it may raise an alarm too many, not watched in the air it may fall.
 
 A vehicle that is armed does not become another one, nor does one in the air take off: who says so is another sender.
 
