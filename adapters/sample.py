@@ -64,3 +64,5 @@ class Given(NamedTuple):
     beyond: NDArray[np.float64] | None = None
     # where a transform put what a fault has done so far into y, which no sensor measured (n,)
     corrected: NDArray[np.bool_] | None = None
+    # y of the sample after each, where it is known with it (n, p): its inputs are means up to then
+    ahead: NDArray[np.float64] | None = None

@@ -456,7 +456,7 @@ class ObserverChain:
         changes = None
         if self._changes is not None:
             asked = nats_asked(self._states[: len(self._faults)], evidence, speaking, alarm_scale, beyond)
-            changes = self._changes.run(samples, estimates.armed, estimates.isolated, asked)
+            changes = self._changes.run(samples, estimates.armed, estimates.isolated, asked, given.ahead)
             changes = None if changes.named.max(initial=-1) < 0 else self._command.of_change(changes, commands)
         if changes is not None and beyond is not None:
             # so many times larger errors are likelier to look like a fault by the square

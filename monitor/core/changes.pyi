@@ -40,4 +40,5 @@ class ChangeTest:
         armed: Flags,
         believed: Array,
         asked: Array | None = None,
+        ahead: bool = False,
     ) -> tuple[NDArray[np.intp], Array, Array, Array, Array, NDArray[np.int64]]: ...

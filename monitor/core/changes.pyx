@@ -286,7 +286,7 @@ cdef class ChangeTest:
         cdef double[:, ::1] found = results[0], excited = results[1]
         cdef uint8_t[::1] known = results[2]
         for k in range(count):
-            self.take(u, y, k, usable[k], restart[k])
+            self.take(u, y, k, usable[k], restart[k], False)
             known[k] = self.known > 0
             for i in range(self.p):
                 found[k, i] = self.innovation[self.row % self.length, i]
@@ -294,7 +294,8 @@ cdef class ChangeTest:
         return results
 
     def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] usable, const uint8_t[:] restart,
-            const int64_t[:] times_ns, const uint8_t[:] armed, const double[:, :] believed, const double[:] asked=None):
+            const int64_t[:] times_ns, const uint8_t[:] armed, const double[:, :] believed, const double[:] asked=None,
+            bint ahead=False):
         """Return the named fault (N,), -1 for none, with nats, size, its growth a second, sd and time of onset (N,).
 
         The size of an actuator's fault is the share of its effect, negative where it lost; that of a sensor is given as
@@ -312,6 +313,8 @@ cdef class ChangeTest:
             Signed size of each of the observer's faults as it believes it.
         asked : float64 (N,), optional
             Fewest nats with which a row names a fault; 0 where it is left out.
+        ahead : bool
+            Whether a row's y is what comes after its u, not with it.
         """
         cdef Py_ssize_t k, owner, count = u.shape[0]
         cdef double sign = -1.0 if self.m else 1.0
@@ -322,7 +325,7 @@ cdef class ChangeTest:
         cdef int64_t[::1] onset_ns = results[5]
         cdef Fitted found
         for k in range(count):
-            self.take(u, y, k, usable[k], restart[k])
+            self.take(u, y, k, usable[k], restart[k], ahead)
             named[k], onset_ns[k] = -1, times_ns[k]
             known = self.known > self.P and self.commands > self.depth
             if known and (armed[k] or self.driven):
@@ -339,7 +342,8 @@ cdef class ChangeTest:
                 onset_ns[k] -= <int64_t>rint(found.age * self.step_ns)
         return results
 
-    cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, bint usable, bint restart) noexcept:
+    cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, bint usable, bint restart,
+                   bint ahead) noexcept:
         """Follow one row: v, the innovation nu = y - (A y- + B v- + c), and what excites the model's errors."""
         cdef Py_ssize_t i, j, d, row, before
         cdef double value, power, moved, command
@@ -359,8 +363,8 @@ cdef class ChangeTest:
             self.v[row, j] = value
             # What the lag lets through: it acts on this row.
             self.acting[row, j] = 0.0
-            for d in range(min(self.L, self.commands)):
-                self.acting[row, j] += self.taps[d] * self.v[back(row, d + 1, self.length), j]
+            for d in range(min(self.L, self.commands + ahead)):
+                self.acting[row, j] += self.taps[d] * self.v[back(row, d + 1 - ahead, self.length), j]
         for i in range(self.p):
             value = y[k, self.judged[i]]
             if not self.has_y or not usable:
@@ -383,7 +387,7 @@ cdef class ChangeTest:
                     value += self.dynamics[i, self.n + j] * self.v[row, j]
             self.excited[self.row % self.hold, i] = fabs(value)
             self.excited[self.row % self.hold, self.p + i] = fabs(moved)
-        self.known = self.known + 1 if self.has_y and usable and self.commands >= self.L else 0
+        self.known = self.known + 1 if self.has_y and usable and self.commands + ahead >= self.L else 0
         self.commands += 1
         self.has_y = usable
         for j in range(self.n):

@@ -433,7 +433,8 @@ cdef class StrapdownCore:
         cdef long long[:, ::1] times = whole
         cdef unsigned char[:, ::1] flags = marks.view(np.uint8)
         cdef Py_ssize_t[::1] rows = ends
-        cdef double[:, ::1] u = inputs, y = outputs
+        later = np.empty((most, self._outputs))
+        cdef double[:, ::1] u = inputs, y = outputs, ahead = later
         likeliest = np.zeros(most)
         cdef double[::1] scores = likeliest
         uncertain = np.zeros((most, 6))
@@ -505,6 +506,8 @@ cdef class StrapdownCore:
                             y[count, i] += self._led[i - 2]
                             self._led[i - 2] = self._navigation.led(i - 2)
                     self._back = False
+                for i in range(self._outputs):
+                    ahead[count, i] = self._y[i] + (self._led[i - 2] if self._speeds and 2 <= i < 4 else 0.0)
                 rows[count] = row
                 count += 1
             self._begun = True
@@ -521,6 +524,7 @@ cdef class StrapdownCore:
             ends,
             beyond=larger[:count],
             corrected=marks[3],
+            ahead=later[:count],
         )
 
     cdef void find_lacking(self, const double* signals, const unsigned char* lost, bint* lacks) noexcept:

@@ -33,7 +33,7 @@ Sources: Willsky and Jones, IEEE Trans. Automatic Control 21(1), 1976; Lai, IEEE
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -140,6 +140,7 @@ class ChangeStage:
             self._depth, self._test = _sensors_test(plant, rate_hz, rule, named, judged, common)
         else:
             self._depth, self._test = 1, _actuators_test(plant, rule, len(named), judged, common)
+        self._rate_hz = rate_hz
         self._u, self._y = np.zeros((1, len(plant.inputs))), np.zeros((1, n))
         self._usable = np.zeros(1, np.bool_)
 
@@ -153,12 +154,18 @@ class ChangeStage:
         armed: NDArray[np.bool_],
         believed: NDArray[np.float64],
         asked: NDArray[np.float64] | None = None,
+        ahead: FloatArray | None = None,
     ) -> ChangeRun:
         """Process n samples; ``armed`` says which are evidence (n,), ``believed`` each fault's size (n, a).
 
-        With ``asked`` (n,) samples name nothing that has fewer nats: that costs a small part of what all names do.
+        With ``asked`` (n,) samples name nothing that has fewer nats: that costs a small part of what all names do. With
+        ``ahead``, y of the sample after each (n, p), that is judged, a sample sooner.
         """
-        return ChangeRun(*self._test.run(*self._given(samples), samples.vehicle_time_ns, armed, believed, asked))
+        times_ns = samples.vehicle_time_ns
+        if ahead is not None:
+            samples, times_ns = replace(samples, y=ahead), times_ns + round(1e9 / self._rate_hz)
+        given = self._given(samples)
+        return ChangeRun(*self._test.run(*given, times_ns, armed, believed, asked, ahead is not None))
 
     def _given(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return u and y with those of the sample before beside them, as far as the prediction asks for them."""
@@ -224,14 +231,16 @@ def _sensors_test(
     additions, grown, owner, sudden = [], [], [], []
     for at, fault in enumerate(order):
         lasts = max(1.0, rate_hz * rule.lasts_s.get(names[fault], 0.0))
-        # a jump on the straight line between two measurements, or from one sample to the next, and a walk
-        jumps = [(np.minimum(rows / line, 1.0), False) for line in sorted({1.0, lasts})]
-        for course, grows in (*jumps, (rows / rate_hz, True)):
+        # a jump on the straight line between two measurements, or from one sample to the next, a walk, and one value
+        # that is wrong: a fault of nobody
+        jumps = [(np.minimum(rows / line, 1.0), False, at) for line in sorted({1.0, lasts})]
+        wrong = np.where(rows > 1.0, 0.0, 1.0), True, len(order)
+        for course, grows, whose in (*jumps, (rows / rate_hz, True, at), wrong):
             shown = _unpredicted(_shown(plant, fault, course)[:, None], dynamics[:, : depth * n], judged)
             if shown.any():
                 additions.append(shown[:, 0])
                 grown.append(course if grows else np.ones(len(rows)))
-                owner.append(at)
+                owner.append(whose)
                 sudden.append(not grows)
     test = ChangeTest(
         dynamics=dynamics,

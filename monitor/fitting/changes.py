@@ -19,9 +19,9 @@ _ORDER = 12
 """Order of the autoregression. Theory 5.1 (1): of twelve, residuals that are correlated by .87 to .98 are white."""
 _ROWS_A_COEFFICIENT = 20
 """A coefficient's standard error falls with the root of the rows for each: 20 leave a quarter of the noise on it."""
-_LEAST_NATS = 1.05 * CLIP**2
-"""A row counts CLIP^2 / 2 nats at most: an alarm takes more than two, or a damaged sample would raise it. Measured on
-windy flights that were left out of the fit: two rows alone accused a motor of 2 to 5 % three times in 170 s."""
+_LEAST_NATS = 0.9 * CLIP**2
+"""A row counts CLIP^2 / 2 nats at most: an alarm takes two that the fault explains, but for noise, or one damaged value
+would raise it (:mod:`monitor.core.changes` asks more of two rows than of three). A tenth is what noise takes of them."""
 
 
 def fit_changes(
