@@ -41,6 +41,9 @@ from monitor.profile import FaultChannel, ObserverProfile
 from monitor.sampling.gate import GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
 
+_SMALLEST_FULL = 0.01
+"""Least effect of a full deflection to divide by: at a tenth of the reference speed no sample is evidence."""
+
 
 class CommandRun(NamedTuple):
     """n samples in command units: fault, isolated and sd (n, a); the smoothed command that each fault scales (n,)."""
@@ -154,6 +157,16 @@ class EffectivenessStage:
             )
             for index, command, full, estimator in self._channels
         }
+
+    def of_change(self, change: ChangeRun, samples: Samples, effects: Mapping[int, EffectivenessRun]) -> ChangeRun:
+        """Return what is named with size and sd in full deflections, which larger errors are likelier to look like."""
+        full, larger = np.ones((2, len(samples)))
+        for index, _, source, _ in self._channels:
+            named = change.named == index
+            larger[named] = effects[index].larger[named]
+            if source is not None:
+                full[named] = np.maximum(samples.u[named, source], _SMALLEST_FULL)
+        return change._replace(size=change.size / full, sd=change.sd / full, nats=change.nats / larger**2)
 
     def _beyond(self, samples: Samples) -> NDArray[np.float64]:
         """Return how many times larger than in the fitted flights the errors of the model may be (n,), once at least.
@@ -457,7 +470,12 @@ class ObserverChain:
         if self._changes is not None:
             asked = nats_asked(self._states[: len(self._faults)], evidence, speaking, alarm_scale, beyond)
             changes = self._changes.run(samples, estimates.armed, estimates.isolated, asked, given.ahead)
-            changes = None if changes.named.max(initial=-1) < 0 else self._command.of_change(changes, commands)
+            if changes.named.max(initial=-1) < 0:
+                changes = None
+            elif effects:
+                changes = self._effectiveness.of_change(changes, samples, effects)
+            else:
+                changes = self._command.of_change(changes, commands)
         if changes is not None and beyond is not None:
             # so many times larger errors are likelier to look like a fault by the square
             changes = changes._replace(nats=changes.nats / beyond**2)

@@ -42,7 +42,7 @@ def test_weak_steering_is_seen_in_the_turn_it_begins_in(profile: Profile, data: 
     found = events(profile, data / "rover_steering_050.tlog.xz")
     assert {event.channel for event in found} == {"steering"}
     raised = [event for event in found if event.state == "raised"]
-    assert 0.0 < raised[0].vehicle_time_ms / 1000 - ONSET_S < 1.0
+    assert 0.0 < raised[0].vehicle_time_ms / 1000 - ONSET_S < 0.2
     assert any(
         event.message.startswith("steering turns ") and "less than commanded" in event.message for event in found
     )

@@ -141,7 +141,8 @@ cdef class AlarmState:
         self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
         self.nats, self.least = rule.nats, max(rule.least, rule.smallest)
         self.lasting, self.lasting_ns = max(rule.lasting, rule.smallest), rule.lasting_s * NANOSECONDS
-        self.fails_towards_less = rule.kind == "actuator"
+        # what is off by a part of its full deflection is off to either side
+        self.fails_towards_less = rule.kind == "actuator" and "deflection" not in rule.unit
 
     def set_excuse(self, bint now, spans):
         """Set when other alarms explain the evidence: always from now on, or in spans of vehicle time (m, 2), ns."""

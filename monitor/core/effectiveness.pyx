@@ -60,7 +60,7 @@ cdef class EffectivenessEstimator:
 
     cdef list memories
     cdef double lag_keep, rate_hz, certainty, u, m, size
-    cdef double noise, usual_misfit, misfit_keep, beyond, beyond_keep
+    cdef double noise, usual_misfit, misfit_keep, beyond, beyond_keep, larger
     cdef readonly double misfit
     cdef long long longest_ns, used_ns
     cdef Py_ssize_t hold, unconfirmed
@@ -79,7 +79,7 @@ cdef class EffectivenessEstimator:
 
     def run(self, const long long[:] times_ns, const unsigned char[:] restart, const unsigned char[:] armed,
             const double[:] fault, const double[:] command, const double[:] full, const double[:] beyond):
-        """Process n rows; return the 8 columns of an ``EffectivenessRun`` (8, n).
+        """Process n rows; return the 9 columns of an ``EffectivenessRun`` (9, n).
 
         All is forgotten at a restart, and where evidence (``armed``) was missing for longer than the longest memory.
         ``fault``, ``command`` and ``full`` (n,) are f^ of the observer, not smoothed further, u in the same units, and
@@ -92,7 +92,7 @@ cdef class EffectivenessEstimator:
         if not (count == restart.shape[0] == armed.shape[0] == fault.shape[0] == command.shape[0] == full.shape[0]
                 == beyond.shape[0]):
             raise ValueError("the columns differ in length")
-        result = np.full((8, count), NAN)
+        result = np.full((9, count), NAN)
         cdef double[:, ::1] columns = result
         for k in range(count):
             # All begins anew with the observer, and where evidence was missing for longer than the longest memory.
@@ -111,11 +111,11 @@ cdef class EffectivenessEstimator:
                 self.used, self.size = False, 0.0
             else:
                 self.skip()
-            columns[7, k] = self.size
+            columns[7, k], columns[8, k] = self.size, self.larger
         return result
 
     cdef void restart(self) noexcept:
-        self.lagged, self.beyond = False, 1.0
+        self.lagged, self.beyond, self.larger = False, 1.0, 1.0
         self.forget()
 
     cdef void forget(self) noexcept:
@@ -160,6 +160,7 @@ cdef class EffectivenessEstimator:
         self.u += step
         self.m += gain * (full - self.m)
         doubt = self.doubt(fault, beyond)
+        self.larger = doubt.beyond * sqrt(doubt.noise)
         for i in range(count):
             (<Memory> self.memories[i]).add(fault, self.u, self.m, step * self.rate_hz, doubt.beyond)
         # The shortest memory that knows decides; where none does, the longest one's sizes are shown.

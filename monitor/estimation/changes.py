@@ -68,6 +68,8 @@ class ChangeRule:
     variance: NDArray[np.float64]  # c_0, c_1 and c_2 of each (p, 3)
     # faults that are named although they scale no input, and how long their measurements take for a jump, seconds
     lasts_s: Mapping[str, float] = field(default_factory=dict)
+    # actuators that may be off by a share of their full deflection, and the lag with which they follow, seconds
+    lags_s: Mapping[str, float] = field(default_factory=dict)
 
 
 class ChangeRun(NamedTuple):
@@ -87,21 +89,21 @@ def read_changes(table: Table, outputs: Sequence[str]) -> ChangeRule:
     """Return the rule of an observer's table ``changes``; mistakes are recorded in its file."""
     judged = judged_outputs(table, outputs)
     p, order = len(judged), table.integer("order", at_least=1)
-    apart = table.has("lasts_s")
+    apart = table.has("lasts_s") or table.has("lags_s")
     stacked = table.matrix("whitening", order if apart else order * p, p)
     variance = table.matrix("variance", p, 3)
     if table.good("variance") and not ((variance >= 0.0).all() and (variance[:, 0] > 0.0).all()):
         table.mistake("variance", "has a negative entry, or none that is constant")
-    lasting = table.table("lasts_s") if apart else None
-    lasts_s = {} if lasting is None else {name: lasting.number(name, at_least=0.0) for name in lasting}
+    times = [table.table(key) for key in ("lasts_s", "lags_s")]
+    lasts_s, lags_s = ({name: given.number(name, at_least=0.0) for name in given} for given in times)
     table.done()
     whitening = stacked[:, :, None] * np.eye(p) if apart else stacked.reshape(-1, p, p)
-    return ChangeRule(judged, whitening, variance, lasts_s)
+    return ChangeRule(judged, whitening, variance, lasts_s, lags_s)
 
 
 def changes_table(rule: ChangeRule) -> dict[str, Any]:
     """Return the table that :func:`read_changes` reads back as the same rule."""
-    apart = {"lasts_s": dict(rule.lasts_s)} if rule.lasts_s else {}
+    apart = {key: dict(times) for key in ("lasts_s", "lags_s") if (times := getattr(rule, key))}
     whitening = np.diagonal(rule.whitening, axis1=1, axis2=2) if apart else np.concatenate(rule.whitening)
     return {
         "outputs": list(rule.outputs),
@@ -116,12 +118,14 @@ class ChangeStage:
     """The test as one stage of an observer's chain.
 
     ``inputs`` has the index of the input that each fault of the observer scales, None where it scales none. The test
-    names the former, or where the rule says so sensors: outputs that are no states are then predicted.
+    names the former, or where the rule says so faults that add to the outputs, which are then predicted if they are no
+    states: sensors that jump, actuators that are off by a part of their deflection.
     """
 
     def __init__(self, plant: Plant, rate_hz: float, inputs: Mapping[str, int | None], rule: ChangeRule) -> None:
-        named = [*rule.lasts_s] or [name for name, source in inputs.items() if source is not None]
-        sources = [] if rule.lasts_s else [inputs[name] for name in named]
+        added = [*rule.lasts_s, *rule.lags_s]
+        named = added or [name for name, source in inputs.items() if source is not None]
+        sources = [] if added else [inputs[name] for name in named]
         judged = [plant.outputs.index(name) for name in rule.outputs]
         n = len(plant.outputs)
         common: dict[str, Any] = {
@@ -136,11 +140,11 @@ class ChangeStage:
             "judged": judged,
             "actuators": [source for source in sources if source is not None],
         }
-        if rule.lasts_s:
-            self._depth, self._test = _sensors_test(plant, rate_hz, rule, named, judged, common)
+        if added:
+            self._depth, self._test = _additions_test(plant, rate_hz, rule, named, judged, common)
         else:
             self._depth, self._test = 1, _actuators_test(plant, rule, len(named), judged, common)
-        self._rate_hz = rate_hz
+        self._rate_hz, self._adds = rate_hz, bool(added)
         self._u, self._y = np.zeros((1, len(plant.inputs))), np.zeros((1, n))
         self._usable = np.zeros(1, np.bool_)
 
@@ -170,9 +174,10 @@ class ChangeStage:
     def _given(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return u and y with those of the sample before beside them, as far as the prediction asks for them."""
         usable = samples.measured & samples.complete
+        if self._adds:
+            usable &= ~samples.lost.any(axis=1)
         if self._depth == 1:
             return samples.u, samples.y, usable, samples.restart
-        usable &= ~samples.lost.any(axis=1)
         u, y = np.vstack([self._u, samples.u]), np.vstack([self._y, samples.y])
         before = np.concatenate([self._usable, usable])
         self._u, self._y, self._usable = u[-1:], y[-1:], before[-1:]
@@ -206,7 +211,7 @@ def _actuators_test(
     )
 
 
-def _sensors_test(
+def _additions_test(
     plant: Plant,
     rate_hz: float,
     rule: ChangeRule,
@@ -214,7 +219,7 @@ def _sensors_test(
     judged: Sequence[int],
     common: Mapping[str, Any],
 ) -> tuple[int, ChangeTest]:
-    """Return from how many samples outputs that are no states are predicted, and the test of sensors by that."""
+    """Return from how many samples outputs are predicted, and the test of faults that add to them by that."""
     blocks = [predictor(plant, output) for output in judged]
     n, depth = len(plant.outputs), max(len(block.y) for block in blocks)
     dynamics = np.zeros((len(judged), depth * (n + len(plant.inputs)) + 1))
@@ -228,25 +233,27 @@ def _sensors_test(
     names = [fault.name for fault in plant.faults]
     order = [*map(names.index, named), *(at for at, name in enumerate(names) if name not in named)]
     rows = np.arange(1.0, round(WINDOW_S * rate_hz) + 1.0)
-    additions, grown, owner, sudden = [], [], [], []
+    shown, grown, owner, sudden = [], [], [], []
     for at, fault in enumerate(order):
-        lasts = max(1.0, rate_hz * rule.lasts_s.get(names[fault], 0.0))
-        # a jump on the straight line between two measurements, or from one sample to the next, a walk, and one value
-        # that is wrong: a fault of nobody
-        jumps = [(np.minimum(rows / line, 1.0), False, at) for line in sorted({1.0, lasts})]
-        wrong = np.where(rows > 1.0, 0.0, 1.0), True, len(order)
-        for course, grows, whose in (*jumps, (rows / rate_hz, True, at), wrong):
-            shown = _unpredicted(_shown(plant, fault, course)[:, None], dynamics[:, : depth * n], judged)
-            if shown.any():
-                additions.append(shown[:, 0])
+        for course, grows in _courses(rule, names[fault], rows, rate_hz):
+            if (outputs := _shown(plant, fault, course)).any():
+                shown.append(outputs)
                 grown.append(course if grows else np.ones(len(rows)))
-                owner.append(whose)
+                owner.append(at)
                 sudden.append(not grows)
+    # One value that is wrong is nobody's fault, nor is a gyro that jumps one of an actuator.
+    for course in (rows < 2.0, rows > 0.0) if rule.lags_s else (rows < 2.0,):
+        for output in judged:
+            shown.append(np.outer(course, np.eye(n)[output]))
+            grown.append(np.ones(len(rows)))
+            owner.append(len(order))
+            sudden.append(bool(course.all()))
+    additions = _unpredicted(np.stack(shown, axis=1), dynamics[:, : depth * n], judged)
     test = ChangeTest(
         dynamics=dynamics,
         curves=np.ones((depth * len(plant.inputs), 1)),
         taps=np.ones(1),
-        additions=_whitened(np.stack(additions, axis=1), rule.whitening),
+        additions=_whitened(additions, rule.whitening),
         grown=np.stack(grown, axis=1),
         owner=owner,
         sudden=sudden,
@@ -255,6 +262,17 @@ def _sensors_test(
         **common,
     )
     return depth, test
+
+
+def _courses(rule: ChangeRule, fault: str, rows: FloatArray, rate_hz: float) -> list[tuple[FloatArray, bool]]:
+    """Return the courses that a fault may take from its onset on (D,), and which of them grow."""
+    if rule.lags_s:
+        # at once (a broken surface), or as the servo follows
+        lag = rate_hz * rule.lags_s[fault]
+        return [(-np.expm1(-rows / late) if late else np.ones(len(rows)), False) for late in sorted({0.0, lag})]
+    # a jump on the straight line between two measurements, or from one sample to the next, and a walk
+    lines = sorted({1.0, max(1.0, rate_hz * rule.lasts_s.get(fault, 0.0))})
+    return [*((np.minimum(rows / line, 1.0), False) for line in lines), (rows / rate_hz, True)]
 
 
 class Predictor(NamedTuple):

@@ -145,3 +145,4 @@ class EffectivenessRun(NamedTuple):
     # evidence last known: while an accusation can neither be confirmed nor dropped it stays, without evidence it is
     # zero
     size: Array
+    larger: Array  # how many times larger than in the fitted flights the errors of f^ are

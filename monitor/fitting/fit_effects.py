@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import radians
+from math import inf, radians
 from typing import Any
 
 import numpy as np
@@ -30,12 +30,14 @@ from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import IndependentRule
 from monitor.fitting.agreement import Agreement, ComparedEffect, FlightEffects, agreement, flight_effects
 from monitor.fitting.calibrate import SETTLE_S
+from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.effect_signals import EffectSignals
 from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
 from monitor.fitting.fit_report import Comparison, compared, comparison_lines
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
-from monitor.fitting.thresholds import Calibrated
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated
+from monitor.profile import fault_channels
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import LiftRule, SampleSource, TransformRule, make_transform
 
@@ -139,6 +141,11 @@ def fit_effects(
     flights = [transformed(flight, make_transform(rule, rate_hz)) for flight in raw]
     reading = _reading(kind, fit, plant, gains, flights)
     units = dict(zip(gains.faults, gains.fault_units, strict=True))
+    lags_s = {fault: rule.parameters[f"{fault}_lag_s"] for fault in gains.faults}
+    changes = fit_changes(plant, rate_hz, plant.outputs, flights, lags_s=lags_s)
+    nats = inf
+    if changes is not None:
+        nats = healthy_nats(plant, rate_hz, fault_channels((gains,)), changes, flights, FALSE_ALARMS_PER_HOUR).level
     alarms = [
         replace(
             bare_rule(kind.observer, fault, "actuator", units[fault]),
@@ -147,6 +154,8 @@ def fit_effects(
             critical=_CRITICAL,
             raise_s=_RAISE_S,
             clear_s=_CLEAR_S,
+            nats=nats,
+            least=reading[fault].least_offset,
         )
         for fault in gains.faults
     ]
@@ -159,6 +168,7 @@ def fit_effects(
         isolation=IndependentRule(_SMOOTHING_S),
         alarms=tuple(Calibrated(alarm, None) for alarm in alarms),
         effectiveness=reading,
+        changes=changes,
         reached=_reached(gains, flights),
         flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
         findings=_findings(fit, rate_hz, reference, reading),
