@@ -476,6 +476,8 @@ class ObserverChain:
                 changes = self._effectiveness.of_change(changes, samples, effects)
             else:
                 changes = self._command.of_change(changes, commands)
+        if changes is not None:
+            changes = known_together(changes, position)
         if changes is not None and beyond is not None:
             # so many times larger errors are likelier to look like a fault by the square
             changes = changes._replace(nats=changes.nats / beyond**2)
@@ -508,6 +510,13 @@ class ObserverChain:
     def _named(self, run: ChangeRun) -> tuple[NDArray[Any], ...]:
         """Return the alarm whose sudden change each row names, with its nats, size, growth and onset."""
         return self._alarm_of[run.named], run.nats, run.size, run.growth, run.onset_ns
+
+
+def known_together(change: ChangeRun, position: NDArray[np.int64]) -> ChangeRun:
+    """Return what is named with the size that the last of the samples tells that the same message completed."""
+    ends = np.append((np.diff(position) != 0) | (np.diff(change.named) != 0), True)
+    last = np.flatnonzero(ends)[np.cumsum(ends) - ends]
+    return change._replace(size=change.size[last], growth=change.growth[last], sd=change.sd[last])
 
 
 def shown_in(plant: Plant | None, layout: Layout) -> NDArray[np.bool_]:
