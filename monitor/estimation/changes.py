@@ -242,12 +242,12 @@ def _additions_test(
                 owner.append(at)
                 sudden.append(not grows)
     # One value that is wrong is nobody's fault, nor is a gyro that jumps one of an actuator.
-    for course in (rows < 2.0, rows > 0.0) if rule.lags_s else (rows < 2.0,):
+    for there in (rows < 2.0, rows > 0.0) if rule.lags_s else (rows < 2.0,):
         for output in judged:
-            shown.append(np.outer(course, np.eye(n)[output]))
+            shown.append(np.outer(there, np.eye(n)[output]))
             grown.append(np.ones(len(rows)))
             owner.append(len(order))
-            sudden.append(bool(course.all()))
+            sudden.append(bool(there.all()))
     additions = _unpredicted(np.stack(shown, axis=1), dynamics[:, : depth * n], judged)
     test = ChangeTest(
         dynamics=dynamics,
