@@ -62,7 +62,7 @@ def test_wherever_a_file_is_cut_off_all_messages_that_are_whole_are_in_its_index
     write_log(whole)
     content = whole.read_bytes()
     head = content.index(b"\x06", 200)
-    for size in range(head, len(content), 61):
+    for size in range(head, len(content), 127):
         cut.write_bytes(content[:size])
         before = sorted(plainly_read(cut))
         assert is_unfinished(cut)

@@ -138,14 +138,17 @@ def test_every_message_of_the_dialect_at_every_length_reads_the_same(tmp_path: P
     records = []
     for number, kind in known.items():
         longest = 256 if version == 2 else kind.size + 1
-        records += [record(draw, number, length, version) for length in (*range(0, longest, 7), kind.size, 255)]
+        records += [
+            record(draw, number, length, version)
+            for length in (0, *range(number % 23 + 1, longest, 23), kind.size, 255)
+        ]
     path.write_bytes(b"".join(records))
     assert in_batches(path) == one_by_one(path)
     names = {message.name for block in TlogReader(path) for message in messages(block)}
     assert names == {kind.name for kind in known.values()}
 
 
-@pytest.mark.parametrize("name", ["copter_5s", "plane_aileron_080_end", "rover_steering_050_end"])
+@pytest.mark.parametrize("name", ["copter_5s", "rover_steering_050_end"])
 def test_flights_read_the_same_in_batches(name: str) -> None:
     path = DATA / f"{name}.tlog.xz"
     wanted = frozenset({"ATTITUDE", "HEARTBEAT", "STATUSTEXT"})

@@ -30,7 +30,7 @@ def linear_run(plant: Plant, count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def test_both_faults_of_the_arm_are_followed_by_both_filters() -> None:
-    run = simulate_arm(SCENARIOS["case2"], 40.0, 100.0)
+    run = simulate_arm(SCENARIOS["case2"], 24.0, 100.0)
     steady = AffineObserver([design_ekf(arm(), 100.0)]).run(run.u, run.y).fault
     extended, full = ExtendedKalmanFilter(arm(), 100.0), []
     extended.restart(run.y[0])

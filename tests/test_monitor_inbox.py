@@ -92,17 +92,17 @@ def test_taking_from_an_empty_inbox_ends_and_what_waits_outlives_its_closing() -
 def test_no_message_is_lost_between_threads() -> None:
     inbox = Inbox(100_000)
     for name in ("a", "b", "c"):
-        inbox.listen(name, ScriptedLink(*([message(k)] for k in range(2000))))
+        inbox.listen(name, ScriptedLink(*([message(k)] for k in range(300))))
     found: list[tuple[str | None, Message]] = []
 
     def all_there() -> bool:
         found.extend(each(inbox.take(0.1)))
-        return len(found) >= 6000
+        return len(found) >= 900
 
     until(all_there)
     inbox.close()
     assert inbox.statistics().dropped == 0
-    assert sorted(message.received_ns for _, message in found) == sorted([*range(2000)] * 3)
+    assert sorted(message.received_ns for _, message in found) == sorted([*range(300)] * 3)
 
 
 def attitudes(system: int, count: int, received_ns: int = 0, size: int = 0) -> Batch:
