@@ -126,14 +126,14 @@ def test_gains_of_another_model_are_refused_with_the_command_that_mends_it(folde
 
 
 def test_designing_the_edited_model_again_mends_the_profile(folder: Path) -> None:
-    each = read_profile(folder).observers[0].gains
-    edit(folder / "motors.model.toml", r"^name = .*", 'name = "quad-b"')
+    each = read_profile(folder).observers[1].gains
+    edit(folder / "trim.model.toml", r"^name = .*", 'name = "quad-b"')
     for _ in each:
         with pytest.raises(ProfileError, match="run 'fauio design") as caught:
             read_profile(folder)
         command = str(caught.value).split("'fauio ")[1].rstrip("'")
         assert fauio.main(shlex.split(command)) == 0
-    assert read_profile(folder).observers[0].gains[0].model == "quad-b"
+    assert read_profile(folder).observers[1].gains[0].model == "quad-b"
 
 
 def test_a_missing_file_is_named(folder: Path) -> None:

@@ -205,9 +205,13 @@ def _matrix(key: str, document: Mapping[str, Any]) -> NDArray[np.float64]:
     entry = document[key]
     try:
         rows, columns = entry["shape"]
-        matrix = np.array([[_finite(key, x) for x in row] for row in entry["rows"]], dtype=np.float64)
+        if not {type(x) for row in entry["rows"] for x in row} <= {int, float}:
+            raise TypeError
+        matrix = np.array(entry["rows"], dtype=np.float64)
+        if not np.isfinite(matrix).all():
+            raise ValueError
         return matrix.reshape(rows, columns)
-    except (TypeError, ValueError, KeyError) as error:
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
         raise ModelError(f"'{key}' is not a matrix of finite numbers") from error
 
 
