@@ -11,12 +11,9 @@ import chaos
 import pytest
 from chaos import Sufferer
 from fleet_sender import Due
-from packet_stream import PacketStream
+from packet_stream import PacketStream, messages_of
 
-from adapters.batch import messages as messages_of
 from adapters.logs.recordings import packed
-from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
-from adapters.mavlink.packets import PacketList, PacketScanner
 from adapters.mavlink.signing import SigningGuard
 from adapters.message import Message, silence
 from monitor.event import AlarmEvent
@@ -52,7 +49,7 @@ def packets_of(log: Path, distortion: str) -> list[Due]:
 def raised(profile: Profile, packets: Sequence[Due]) -> list[AlarmEvent]:
     """Return the alarms raised; time passes where nothing comes."""
     stream, guard = PacketStream(), SigningGuard(chaos.KEY, require_signed=False)
-    scanner, taken = PacketScanner(dialect()), PacketList(dialect())
+    taken: list[Due] = []
     own: list[Message] = []
     heard_ns = START_NS
     for due, data in packets:
@@ -61,9 +58,9 @@ def raised(profile: Profile, packets: Sequence[Due]) -> list[AlarmEvent]:
         heard_ns = now_ns
         for packet in stream.packets(data):
             if guard.refusal(packet, now_ns) is None:
-                scanner.scan(packet, taken, now_ns)
+                taken.append((now_ns, packet))
         own += guard.findings(now_ns)
-    messages = merge(messages_of(decoded(taken, wanted_kinds())), own, key=lambda message: message.received_ns)
+    messages = merge(messages_of(taken), own, key=lambda message: message.received_ns)
     pipeline = Pipeline(profile, system=7)
     found = [output for batch in packed(messages) for output in pipeline.run(batch)]
     events = [event for event in found if isinstance(event, AlarmEvent)]

@@ -12,10 +12,9 @@ from pathlib import Path
 import chaos
 import pytest
 from fleet_sender import Due, fleet_packets, read_flight
-from packet_stream import PacketStream, packet_sequence
+from packet_stream import PacketStream, messages_of, packet_sequence
 
 from adapters.mavlink.signing import SignatureVerdict, SignatureVerifier
-from adapters.message import Message
 
 NOW_NS = 1_795_251_917_265_689_600
 SECOND_NS = 1_000_000_000
@@ -30,11 +29,6 @@ def packets(data: Path) -> list[Due]:
 @pytest.fixture
 def rng() -> random.Random:
     return random.Random(1)
-
-
-def messages(packets: Sequence[Due]) -> list[Message]:
-    stream = PacketStream()
-    return [message for due, packet in packets for message in stream.messages(packet, due)]
 
 
 def in_order(packets: Sequence[Due]) -> bool:
@@ -84,7 +78,7 @@ def test_silence_leaves_a_hole(packets: list[Due]) -> None:
 
 
 def test_at_a_reboot_the_clock_goes_back_and_nothing_else_changes(packets: list[Due]) -> None:
-    before, after = messages(packets), messages(chaos.reboot(packets, 5.0))
+    before, after = messages_of(packets), messages_of(chaos.reboot(packets, 5.0))
     assert len(before) == len(after)
     for one, other in zip(before, after, strict=True):
         stamps = {key for key in one.fields if key in ("time_boot_ms", "time_usec") and one.fields[key]}
@@ -103,7 +97,7 @@ def test_flipped_bits_damage_some_packets(packets: list[Due], rng: random.Random
     flipped = chaos.flip_bits(packets, rng)
     different = sum(before != after for before, after in zip(packets, flipped, strict=True))
     assert 0.04 < different / len(packets) < 0.06
-    assert len(packets) - len(messages(flipped)) == pytest.approx(different, abs=5)
+    assert len(packets) - len(messages_of(flipped)) == pytest.approx(different, abs=5)
 
 
 def test_noise_between_packets_costs_hardly_one_of_them(packets: list[Due], rng: random.Random) -> None:
@@ -115,7 +109,7 @@ def test_noise_between_packets_costs_hardly_one_of_them(packets: list[Due], rng:
 
 
 def test_poison_is_in_packets_that_are_intact(packets: list[Due], rng: random.Random) -> None:
-    found = messages(chaos.poison(packets, rng))
+    found = messages_of(chaos.poison(packets, rng))
     assert len(found) == len(packets)
     bad = [m for m in found if any(isinstance(v, float) and not math.isfinite(v) for v in m.fields.values())]
     assert 0.01 < len(bad) / len(found) < 0.05

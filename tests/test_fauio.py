@@ -67,34 +67,34 @@ def plain_terminal(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
 
 
-@pytest.mark.parametrize("parser", COMMANDS, ids=lambda parser: parser.prog)
-def test_each_command_says_its_purpose_its_options_and_an_example(parser: argparse.ArgumentParser) -> None:
-    assert parser.description
-    assert examples(parser)
-    for action in parser._actions:
-        assert action.help or isinstance(action, argparse._SubParsersAction), action.option_strings
+def test_each_command_says_its_purpose_its_options_and_an_example() -> None:
+    for parser in COMMANDS:
+        assert parser.description, parser.prog
+        assert examples(parser), parser.prog
+        for action in parser._actions:
+            assert action.help or isinstance(action, argparse._SubParsersAction), (parser.prog, action.option_strings)
 
 
-@pytest.mark.parametrize("parser", COMMANDS, ids=lambda parser: parser.prog)
-def test_numbers_say_their_unit_or_default(parser: argparse.ArgumentParser) -> None:
-    for action in parser._actions:
-        if action.type in (float, int):
-            assert action.metavar or action.choices
-            assert any(sign in (action.help or "") for sign in ("second", "(", "per ", "largest", "of theorem", "rate"))
+def test_numbers_say_their_unit_or_default() -> None:
+    for action in (action for parser in COMMANDS for action in parser._actions if action.type in (float, int)):
+        assert action.metavar or action.choices, action
+        signs = ("second", "(", "per ", "largest", "of theorem", "rate")
+        assert any(sign in (action.help or "") for sign in signs), action
 
 
-@pytest.mark.parametrize("parser", PARSERS, ids=lambda parser: parser.prog)
-def test_help_fits_a_terminal_of_80_columns_without_colours(parser: argparse.ArgumentParser) -> None:
-    text = parser.format_help()
-    assert "\x1b" not in text
-    for line in text.splitlines():
-        assert len(line) <= 80 or line.startswith(fauio.EXAMPLE), line
+def test_help_fits_a_terminal_of_80_columns_without_colours() -> None:
+    for parser in PARSERS:
+        text = parser.format_help()
+        assert "\x1b" not in text
+        for line in text.splitlines():
+            assert len(line) <= 80 or line.startswith(fauio.EXAMPLE), line
 
 
-@pytest.mark.parametrize("example", EXAMPLES)
-def test_each_example_is_understood(example: str) -> None:
-    assert callable(fauio.build_parser().parse_args(shlex.split(example)[1:]).handler)
-    assert len(example) <= 110
+def test_each_example_is_understood() -> None:
+    parser = fauio.build_parser()
+    for example in EXAMPLES:
+        assert callable(parser.parse_args(shlex.split(example)[1:]).handler)
+        assert len(example) <= 110
 
 
 @pytest.mark.parametrize("example", [one for one in EXAMPLES if shlex.split(one)[1] not in NOT_RUN])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from adapters.batch import messages
 from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
 from adapters.mavlink.mavlink_message import MAGIC_2
@@ -27,6 +29,14 @@ class PacketStream:
         packets = PacketList(dialect())
         self.scanner.scan(data, packets, received_ns)
         return packets
+
+
+def messages_of(packets: Iterable[tuple[int, bytes]]) -> list[Message]:
+    """Return the messages in packets that come at certain times."""
+    scanner, found = PacketScanner(dialect()), PacketList(dialect())
+    for received_ns, packet in packets:
+        scanner.scan(packet, found, received_ns)
+    return [*messages(decoded(found, wanted_kinds()))]
 
 
 def packet_sequence(packet: bytes) -> int:
