@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
 from fuzz_targets import TARGETS
+
+from monitor.profile import Profile
 
 EXAMPLES = 12
 SLOW = {"cuts": 3, "model": 3, "pipeline-arm": 4, "pipeline-quad": 4, "profile": 4, "subscriber": 6}
@@ -35,9 +37,21 @@ FOUND = {
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Callable[[bytes], None]]:
-    """Return what makes a target."""
-    return lambda name: TARGETS[name].make(tmp_path_factory.mktemp(name))
+def made(
+    arm_profile: Profile, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[[str], Callable[[bytes], None]]]:
+    """Return what makes a target; the arm's observer is designed once for all."""
+
+    def copied(folder: Path) -> Profile:
+        folder.mkdir()
+        for name, content in arm_profile.files.items():
+            (folder / name).write_bytes(content)
+        return arm_profile
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("fuzz_files", "fuzz_pipeline"):
+            patch.setattr(f"{module}.write_arm_profile", copied)
+        yield lambda name: TARGETS[name].make(tmp_path_factory.mktemp(name))
 
 
 @st.composite
