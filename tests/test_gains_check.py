@@ -129,14 +129,14 @@ def test_pairs_are_alike_at_every_frequency_or_only_when_constant() -> None:
     )
 
 
-@settings(deadline=None, derandomize=True, max_examples=25)
+@settings(deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.integers(0, 2), st.integers(0, 1), st.floats(0, 4))
 def test_random_plants_that_meet_the_conditions_are_estimable(seed: int, a1: int, a2: int, decades: float) -> None:
     if a1 + a2:
         assert check_plant(random_plant(seed, a1, a2, decades=decades)).estimable
 
 
-@settings(deadline=None, derandomize=True, max_examples=25)
+@settings(deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.floats(0, 3))
 def test_random_plants_whose_constant_faults_cancel_fail_condition_two(seed: int, decades: float) -> None:
     rng = np.random.default_rng(seed)
@@ -149,7 +149,7 @@ def test_random_plants_whose_constant_faults_cancel_fail_condition_two(seed: int
     assert conditions(replace(plant, C=C)) == {"condition II"}
 
 
-@settings(deadline=None, derandomize=True, max_examples=25)
+@settings(deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.floats(1.0, 1.3), st.floats(0, 3))
 def test_random_plants_whose_attack_hides_a_mode_that_stays_fail_detectability(
     seed: int, pole: float, decades: float
@@ -166,7 +166,7 @@ def test_random_plants_whose_attack_hides_a_mode_that_stays_fail_detectability(
     assert conditions(replace(plant, A=A, C=C)) == {"detectability of (L1 A_z, Cb)"}
 
 
-@settings(deadline=None, derandomize=True, max_examples=15)
+@settings(deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.sampled_from(["actuator", "sensor"]))
 def test_random_plants_with_a_repeated_direction_fail_its_rank(seed: int, kind: str) -> None:
     plant = random_plant(seed, int(kind == "actuator"), int(kind == "sensor"))
@@ -175,7 +175,7 @@ def test_random_plants_with_a_repeated_direction_fail_its_rank(seed: int, kind: 
     assert conditions(replace(plant, faults=(*plant.faults, twin))) == {f"rank of {symbol}"}
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(deadline=None, derandomize=True)
 @given(st.integers(0, 100_000))
 def test_the_check_agrees_with_the_synthesis_on_plants_full_of_coincidences(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -25,7 +25,7 @@ def matrix(*rows: tuple[float, ...]) -> FloatArray:
     return np.array(rows)
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(deadline=None, derandomize=True)
 @given(st.integers(0, 100_000), st.floats(0, 4), st.floats(-7, -0.05), st.booleans(), st.booleans())
 def test_the_discrete_norm_encloses_the_grid(
     seed: int, decades: float, margin: float, feedthrough: bool, singular: bool
@@ -43,7 +43,7 @@ def test_the_discrete_norm_encloses_the_grid(
     assert found.lower == pytest.approx(gains_at(A, B, C, D, np.array([found.omega]), True)[0], rel=1e-9 + rounding)
 
 
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(deadline=None, derandomize=True)
 @given(st.integers(0, 100_000), st.floats(0, 4), st.floats(-6, 1), st.floats(-2, 3), st.booleans())
 def test_the_continuous_norm_encloses_a_grid(
     seed: int, decades: float, margin: float, pace: float, feedthrough: bool

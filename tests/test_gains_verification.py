@@ -145,7 +145,7 @@ def test_a_file_of_the_first_layout_is_read_and_said_to_hold_no_proof(document: 
         verify_gains(path)
 
 
-@settings(deadline=None, derandomize=True, max_examples=40)
+@settings(deadline=None, derandomize=True)
 @given(st.integers(0, 10_000), st.integers(1, 8), st.sampled_from([1e-3, 1e-9]))
 def test_a_witness_is_given_for_positive_matrices_alone(seed: int, size: int, least: float) -> None:
     rng = np.random.default_rng(seed)
