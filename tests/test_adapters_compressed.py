@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import lzma
 import random
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,9 @@ import pytest
 from adapters.errors import TelemetryError
 from adapters.logs.compressed import CompressedFile
 
-CONTENT = b"".join(bytes(4) + random.Random(k).randbytes(8) for k in range(20_000))
-PACKERS = {".xz": lzma.compress, ".gz": gzip.compress, "": bytes}
+NOISE = random.Random(1).randbytes(160_000)
+CONTENT = b"".join(bytes(4) + NOISE[at : at + 8] for at in range(0, len(NOISE), 8))
+PACKERS = {suffix: cache(packer) for suffix, packer in ((".xz", lzma.compress), (".gz", gzip.compress), ("", bytes))}
 
 
 def read(path: Path) -> tuple[bytes, bool]:
