@@ -73,6 +73,7 @@ def test_a_killed_daemon_comes_back_with_its_alarms_and_has_lost_none(
         assert len(places(own)) == len(own)
 
 
+@pytest.mark.long
 def test_a_full_disk_stops_nothing_and_is_told_of(tmp_path: Path) -> None:
     sufferers = [Sufferer(1, MOTOR1, "none", 22.0)]
     with monitoring(tmp_path, [1]) as monitor:

@@ -14,6 +14,7 @@ from gains.synthesis.bank import admissible_hypotheses, design_bank
 from gains.synthesis.certificate import certify
 
 
+@pytest.mark.long
 def test_every_single_motor_of_the_hexacopter_is_a_hypothesis_with_a_certified_observer() -> None:
     bank = design_bank(hexacopter())
     assert [hypothesis.faults for hypothesis in bank] == [(f"motor{i}",) for i in range(1, 7)]

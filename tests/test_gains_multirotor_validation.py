@@ -49,6 +49,7 @@ def test_the_effect_of_commands_is_delayed_and_curved(model: MultirotorFit) -> N
     assert model.effect(u[:count]).shape == (0, 4)
 
 
+@pytest.mark.long
 def test_correlated_gusts_leave_more_doubt_than_white_ones() -> None:
     white, coloured = (identify_multirotor([flight(8, 60.0, gust_s=gust_s)], RATE_HZ)[1] for gust_s in (0.0, 0.5))
     assert np.all(coloured.drive > 1.5 * white.drive)

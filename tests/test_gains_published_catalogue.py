@@ -51,6 +51,7 @@ def test_one_command_compares_all_methods_on_one_model(capsys: pytest.CaptureFix
         assert line["norm"] is None or line["method"] in ("chen2006",) or line["norm"] >= 0.1362
 
 
+@pytest.mark.long
 def test_the_comparison_reads_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert fauio.main(["design", "arm", "--method", "all"]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -109,6 +109,7 @@ def test_a_healthy_flight_with_a_sagging_battery_raises_nothing(fitted: tuple[Fi
     assert [event for event in events if event.state == "raised"] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("part", "named"), [("esc", "esc3"), ("prop", "prop3")])
 def test_speeds_at_3_hz_say_within_seconds_why_a_motor_delivers_less(slow: Profile, part: str, named: str) -> None:
     fault = Fault(part, 3, 0.2, onset_s=30.0)

@@ -260,7 +260,8 @@ def stopped_main_thread(pid: int) -> Iterator[None]:
         ptrace(detach, pid, None, None)
 
 
-@pytest.mark.parametrize("stopped", [pytest.param(stopped_process, marks=pytest.mark.long), stopped_main_thread])
+@pytest.mark.long
+@pytest.mark.parametrize("stopped", [stopped_process, stopped_main_thread])
 def test_the_other_takes_over_from_one_that_hangs_which_yields_when_it_goes_on(
     pair: Pair, data: Path, stopped: Callable[[int], AbstractContextManager[None]]
 ) -> None:
