@@ -241,6 +241,7 @@ def test_a_bag_of_ros_2_topics_replays_to_the_alarm_of_its_fault(
         assert 0.0 < one["time_ns"] - onset_ns < within_s * 1e9
 
 
+@pytest.mark.long
 def test_cdr_on_the_keys_of_rmw_zenoh_raises_the_same_alarm_live() -> None:
     endpoint = Endpoint()
     pipeline = Pipeline(read_profile(CART), "cart")

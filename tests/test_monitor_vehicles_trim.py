@@ -28,6 +28,7 @@ DAMPING = np.array([0.8, 0.8, 0.5])
 LAG_S = 0.05
 HOVER = 0.5
 QUAD = next(iter(standard_frames(4)))
+LONG = pytest.mark.long
 FRAMES = [frame for motors in (4, 6, 8) for frame in standard_frames(motors)]
 
 
@@ -193,7 +194,13 @@ def test_parameters_that_do_not_describe_these_motors_give_no_frame(parameters: 
     assert frame_of(parameters, (1, 2, 3, 4)) is None
 
 
-@pytest.mark.parametrize("frame", [*standard_frames(4), *standard_frames(6)], ids=lambda frame: frame.name)
+@pytest.mark.parametrize(
+    "frame",
+    [
+        pytest.param(frame, id=frame.name, marks=() if frame.name in ("quad x", "quad +", "hexa x", "y6") else LONG)
+        for frame in (*standard_frames(4), *standard_frames(6))
+    ],
+)
 def test_the_motion_tells_the_frame(frame: Frame) -> None:
     u, y = fly(frame, 60.0)
     every = 10
