@@ -85,7 +85,8 @@ def test_a_bag_raises_the_alarm_of_its_fault_alone(folder: Path, kind: str, name
     if raised:
         start_ms = min(fields["header"]["stamp"]["sec"] for _, fields in robot(0.1, 1)[IMU]) * 1000
         assert ON_S * 1e3 < raised[0].vehicle_time_ms - start_ms < (ON_S + 3.0) * 1e3
-    assert found.watched_s > 24.0
+    # of at least 30 s; observers settle within 12
+    assert found.watched_s > 18.0
 
 
 def test_topics_are_found_by_their_type_and_nothing_else_is_decoded(folder: Path) -> None:
