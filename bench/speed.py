@@ -76,12 +76,8 @@ def io_rows(found: dict[str, Any]) -> list[Row]:
         Row(".tlog to columns over pymavlink's recv_msg", ratio(log, "ours, batches", "pymavlink recv_msg"), 20.0),
         Row("MCAP written over mcap's writer", ratio(out, "ours", "mcap"), 1.0),
         Row("MCAP written over foxglove-sdk's writer", ratio(out, "ours", "foxglove-sdk"), 1.0),
-        Row("MCAP read and decoded in batches over mcap's reader, not decoded", ratio(into, batches, RAW), 1.0),
         Row("MCAP read and decoded in batches over mcap's reader, decoded", ratio(into, batches, decoded), 1.0),
     ]
-
-
-RAW = "mcap, non-seeking, raw"
 
 
 def replay_rows(found: Sequence[dict[str, Any]]) -> list[Row]:
