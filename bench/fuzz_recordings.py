@@ -21,7 +21,7 @@ from adapters.encoding.record import Record, Schema
 from adapters.errors import TelemetryError
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.logs.mcap_reader import MessageLogReader
+from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
 from adapters.logs.recordings import read_recording
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
@@ -157,7 +157,7 @@ def _mcap(folder: Path) -> Run:
                 _plain_message(message)
         reader.damage()
         with only(TelemetryError):
-            MessageLogReader(path).metadata()
+            read_mcap_metadata(path)
 
     return run
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from adapters.command_line import finite, natural, positive, say, say_json, several
+from replay.runs.replay_command import LOG_HELP
 
 _KINDS = ("bias", "ramp", "scale", "freeze", "replay", "noise", "delay", "drop", "spoof", "loss")
-_LOG_HELP = "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind"
 _INJECT_TEXT = """\
 Put a fault or attack of known size into a recording. Times are seconds of the vehicle's own clock since its first
 stamp in the log (--at-ms: that clock itself). Measurements are altered by their stamps, not by their arrival.
@@ -54,7 +54,7 @@ def _add_inject(subparsers: Any) -> None:
         description=_INJECT_TEXT,
         epilog="example: fauio inject flight.tlog --channel baro --kind bias --size 8 --start 30 -o out.mcap",
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
+    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_HELP)
     parser.add_argument("--channel", required=True, metavar="NAME", help="channel to alter (see above)")
     parser.add_argument("--kind", required=True, metavar="KIND", help=", ".join(_KINDS))
     begin = parser.add_mutually_exclusive_group(required=True)
@@ -94,7 +94,7 @@ def _add_detectability(subparsers: Any) -> None:
         epilog="example: fauio detectability quad/ healthy.tlog --channel motor1 --sizes 0.02,0.1",
     )
     parser.add_argument("profile", type=Path, metavar="PROFILE", help="profile folder")
-    parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP + "; without faults")
+    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_HELP + "; without faults")
     parser.add_argument(
         "--channel",
         action="append",

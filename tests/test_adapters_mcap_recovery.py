@@ -53,7 +53,9 @@ def numbers(path: Path) -> list[int]:
 def plainly_read(path: Path) -> list[int]:
     """Return what our reader, which needs no index, reads."""
     return [
-        json.loads(data)["n"] for topic in range(3) for data in MessageLogReader(path).payloads(f"/fauio/thing{topic}")
+        json.loads(record.data)["n"]
+        for topic in range(3)
+        for record in MessageLogReader(path, topic=f"/fauio/thing{topic}").records()
     ]
 
 

@@ -74,7 +74,8 @@ class MessageLogReader:
 
     The file may have ``.xz`` or ``.gz`` behind its name. ``only`` names the messages wanted, no others are decoded;
     None wants all. ``types`` are ROS 2 types (``sensor_msgs/Imu``) whose topics are wanted whatever they are called,
-    and with any of them the recorded telemetry over Zenoh that is JSON, of which no type is known.
+    and with any of them the recorded telemetry over Zenoh that is JSON, of which no type is known. ``topic`` wants that
+    topic alone, our own results too.
 
     ``scan`` has the file's records, and what of them is damaged so far. ``messages`` counts those returned,
     ``other_records`` records that are no telemetry (our own estimates and alarms), not wanted, or of topics that cannot
@@ -82,12 +83,16 @@ class MessageLogReader:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], only: Container[str] | None = None, types: Collection[str] = ()
+        self,
+        path: str | os.PathLike[str],
+        only: Container[str] | None = None,
+        types: Collection[str] = (),
+        topic: str | None = None,
     ) -> None:
         self._path = Path(path)
         self._only = only
         self._types = types
-        self._topic: str | None = None
+        self._topic = topic
         self.scan = McapRecords(self._path)
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, _Topic] = {}
@@ -109,7 +114,8 @@ class MessageLogReader:
             findings.append(counted(scan.lost_ways - scan.broken_off, "damaged place"))
         if self.damaged_records:
             findings.append(f"{counted(self.damaged_records, 'message')} cannot be decoded")
-        if self._expected is not None and (lost := self._expected - self._seen()) > 0:
+        seen = self.messages + self.other_records + self.damaged_records
+        if self._expected is not None and (lost := self._expected - seen) > 0:
             findings.append(f"{lost} of {counted(self._expected, 'message')} lost")
         return Damage(self._path.name, tuple(findings), scan.stopped_at) if findings else None
 
@@ -177,28 +183,6 @@ class MessageLogReader:
         for topic, time_ns, publish_ns, data in self._data():
             self.messages += 1
             yield Record(topic.topic, topic.encoding, topic.schema, data, time_ns, publish_ns=publish_ns)
-
-    def payloads(self, topic: str) -> Iterator[bytes]:
-        """Return the records of one topic as they are in the file; raises as iteration does."""
-        self._topic = topic
-        for *_, data in self._data():
-            self.other_records += 1
-            yield data
-
-    def metadata(self, *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
-        """Return the metadata records by name; later entries of the same name and key win.
-
-        With ``ahead_only``, those ahead of all data, for which the file need not be read to its end.
-        """
-        entries: dict[str, dict[str, str]] = {}
-        for opcode, body in self.scan:
-            if ahead_only and opcode in (Opcode.CHUNK, Opcode.MESSAGE):
-                break
-            if opcode == Opcode.METADATA:
-                with contextlib.suppress(*UNREADABLE, McapError):
-                    record = Metadata.read(ReadDataStream(BytesIO(body)))
-                    entries.setdefault(record.name, {}).update(record.metadata)
-        return entries
 
     def _data(self) -> Iterator[_Raw]:
         """Return topic, log time, publish time and payload of the wanted messages."""
@@ -276,9 +260,6 @@ class MessageLogReader:
                     self._expected = Statistics.read(ReadDataStream(BytesIO(body))).message_count
                 self._define(opcode, body)
 
-    def _seen(self) -> int:
-        return self.messages + self.other_records + self.damaged_records
-
 
 def _first(data: Iterator[_Raw], count: int) -> Iterator[_Raw]:
     """Yield the next ``count`` records, fewer where they are large."""
@@ -298,8 +279,19 @@ def _batch(columns: list[Columns], single: Mapping[int, Message]) -> Batch:
 
 
 def read_mcap_metadata(path: str | os.PathLike[str], *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
-    """Return a log's metadata records by name; see :meth:`MessageLogReader.metadata`."""
-    return MessageLogReader(path).metadata(ahead_only=ahead_only)
+    """Return a log's metadata records by name; later entries of the same name and key win.
+
+    With ``ahead_only``, those ahead of all data, for which the file need not be read to its end.
+    """
+    entries: dict[str, dict[str, str]] = {}
+    for opcode, body in McapRecords(Path(path)):
+        if ahead_only and opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+            break
+        if opcode == Opcode.METADATA:
+            with contextlib.suppress(*UNREADABLE, McapError):
+                record = Metadata.read(ReadDataStream(BytesIO(body)))
+                entries.setdefault(record.name, {}).update(record.metadata)
+    return entries
 
 
 def _summary(stream: BinaryIO) -> bytes:

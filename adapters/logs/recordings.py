@@ -284,9 +284,9 @@ def recorded_alarms(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     alarms = []
     for file in _files(path):
         with contextlib.suppress(TelemetryError):
-            for payload in MessageLogReader(file).payloads(ALARM_TOPIC):
+            for record in MessageLogReader(file, topic=ALARM_TOPIC).records():
                 with contextlib.suppress(ValueError):
-                    alarms.append(json_object(payload))
+                    alarms.append(json_object(record.data))
     return alarms
 
 
