@@ -64,6 +64,13 @@ def test_who_is_new_and_what_it_does_decides(before: list[Any], command: Any, we
     assert watch.follow(sent(*command), True) == []
 
 
+def test_a_graver_command_of_a_new_sender_is_told_after_one_that_is_no_alarm() -> None:
+    watch = CommandWatch()
+    commands = [(MODE, 1.0), (REBOOT, 1.0), (MODE, 1.0), (REBOOT, 1.0), (DISARM, 0.0)]
+    told = [[one.weight for one in watch.follow(sent(STRANGER, *one), True)] for one in commands]
+    assert told == [["information"], ["warning"], [], [], []]
+
+
 @given(st.lists(st.floats(0.0, 30.0), max_size=300).map(sorted))
 def test_a_flood_is_told_once_a_second_while_it_lasts(times: list[float]) -> None:
     watch, told = CommandWatch(), []
