@@ -276,6 +276,8 @@ cdef class VehicleClock:
     # near ones came after it, also of the channel that the next one is of; when a near and a newer one arrived last.
     cdef Point _rival
     cdef bint _has_rival, _interleaved, _shared, _began, _replaced
+    # Whether the clock was followed for 5 s since it started (anew).
+    cdef bint _followed
     cdef int _rivals
     cdef nanoseconds _rival_since, _rivals_since, _found_received, _near_received, _newer_received
     cdef nanoseconds _candidate
@@ -343,6 +345,7 @@ cdef class VehicleClock:
         cdef nanoseconds behind = self.newest_ns - stamp
         cdef bint was_held = self._count and _TOLERANCE < behind <= _HELD
         cdef Point point
+        self._followed |= self._count > 1
         if self._replaced:
             self._replaced = self.flies
             if self._replaced:
@@ -363,7 +366,7 @@ cdef class VehicleClock:
                 self.running = False
                 self._count = self._overtaken = 0
                 self._behind = self._behind_before = self._standing = 0
-                self._has_doubtful = self._led = False
+                self._has_doubtful = self._led = self._followed = False
                 # Should the clock from before go on, there are two.
                 self._rival.stamp, self._rival.delay = self.newest_ns, self._near_received - self.newest_ns
                 self._rival_since = received - _HELD
@@ -386,7 +389,7 @@ cdef class VehicleClock:
 
     cdef bint _is_foreign(self, nanoseconds stamp, nanoseconds received) noexcept:
         """Return whether a stamp far from the newest one can be the vehicle's only if it does not fly."""
-        if not self.flies or self._count < 2 or self._rebooted(stamp, received):
+        if not self.flies or not self._followed or self._rebooted(stamp, received):
             return False
         return stamp < self.newest_ns or self._delay_at(stamp) - (<wide>received - stamp) > _HELD
 
@@ -397,7 +400,7 @@ cdef class VehicleClock:
             self._behind_before, self._behind, self._minute_end = self._behind, 0, received + _REMEMBERED
         # It is behind what comes next, too: where nothing does, the vehicle's time stands still.
         self._standing = max(self._standing, behind)
-        if self.flies and self._count > 1 and behind > _EARLY:
+        if self.flies and self._followed and behind > _EARLY:
             if stood > _TOLERANCE + _BEHIND * self._usually_behind() // 2:
                 self._contest(1, behind, received)
 
