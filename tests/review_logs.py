@@ -59,6 +59,8 @@ class Flight:
     texts: Sequence[tuple[float, str]] = ()
     commands: Sequence[tuple[float, int, int, float]] = ()  # when, component, MAV_CMD, first parameter
     parameters: Mapping[str, float] = field(default_factory=lambda: {"BAT1_N_CELLS": 4})
+    # records of PX4 with more or other fields, at a time; None where the log has no such record
+    others: Callable[[float], Mapping[str, Mapping[str, object] | None]] = lambda _: {}
 
 
 _TOPICS = {
@@ -77,7 +79,9 @@ _TOPICS = {
     "uint8_t vxy_reset_counter;uint8_t vz_reset_counter",
     "vehicle_local_position_setpoint": "uint64_t timestamp;float vz",
     "battery_status": "uint64_t timestamp;float voltage_v;float current_a;bool connected",
-    "vehicle_gps_position": "uint64_t timestamp;int32_t lat;int32_t lon;uint8_t fix_type;uint8_t satellites_used",
+    "vehicle_gps_position": "uint64_t timestamp;int32_t lat;int32_t lon;float vel_d_m_s;uint8_t fix_type;"
+    "uint8_t satellites_used",
+    "failure_detector_status": "uint64_t timestamp;bool fd_imbalanced_prop;bool fd_motor",
     "estimator_status_flags": "uint64_t timestamp;bool cs_gps",
     "estimator_status": "uint64_t timestamp;float vel_test_ratio;float pos_test_ratio;float hgt_test_ratio",
     "vehicle_command": "uint64_t timestamp;float param1;uint32_t command;uint8_t source_system;"
@@ -94,6 +98,7 @@ def px4_log(path: Path, flight: Flight) -> Path:
     for name, fields in _TOPICS.items():
         log.define(name, fields)
     ids = {name: log.subscribe(name) for name in _TOPICS if name != "esc_report"}
+    ids["vehicle_imu_status/1"] = log.subscribe("vehicle_imu_status", 1)
     texts = sorted(flight.texts)
     for tick in range(int(flight.end_s * 10)):
         at, stamp = tick / 10, BEGIN_US + tick * 100_000
@@ -103,8 +108,10 @@ def px4_log(path: Path, flight: Flight) -> Path:
             if when <= at < when + 0.1:
                 sent = {"param1": first, "command": number, "source_system": 255, "source_component": component}
                 log.add(ids["vehicle_command"], "vehicle_command", {"timestamp": stamp, **sent, "from_external": True})
-        for name, values in _topics(flight, at).items():
-            log.add(ids[name], name, {"timestamp": stamp, **values})
+        topics = _topics(flight, at)
+        for name, values in (topics | flight.others(at)).items():
+            if values is not None:
+                log.add(ids[name], name.split("/")[0], {"timestamp": stamp, **topics.get(name, {}), **values})
     return log.write(path)
 
 
@@ -145,6 +152,7 @@ def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
         "vehicle_gps_position": {
             "lat": 470_000_000 + round(flight.north_m(at) * 90.0),
             "lon": 80_000_000,
+            "vel_d_m_s": (flight.height(at - 0.1) - flight.height(at + 0.1)) / 0.2,
             "fix_type": flight.fix(at),
             "satellites_used": 4 * flight.fix(at),
         },

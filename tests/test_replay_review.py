@@ -147,6 +147,10 @@ LOOK_ALIKES: dict[str, Flight] = {
     "a blow in the air": Flight(clipped=lambda at: 194 * (at > 30.0)),
     "a hard landing": Flight(vibration=between(LANDING_S - 0.5, LANDING_S + 1.0, 30.0, 2.0)),
     "a failsafe on the ground": Flight(failsafe=lambda at: at > DISARM_S),
+    "a barometer that rises as rotors run down on the ground": replace(
+        CASES["descent_not_followed"], others=lambda _: {"vehicle_gps_position": {"vel_d_m_s": 0.0}}
+    ),
+    "somebody who asked for the log before take-off": Flight(commands=[(1.0, 190, 2510, 0.0), (30.0, 77, 176, 1.0)]),
     "an updraft": Flight(
         climb_wanted=between(30.0, 32.0, -1.5, 0.0), height=lambda at: usual_height(at) + min(max(at - 30, 0), 2)
     ),
@@ -242,6 +246,40 @@ def test_a_reset_of_the_estimator_says_how_far_it_went(tmp_path: Path) -> None:
     assert "reset its position 1 time in flight, by 7.2 m" in review.sentence
 
 
+def test_a_failure_is_named_as_the_log_names_it(tmp_path: Path) -> None:
+    """The same bit of vehicle_status has meant a motor in one version and an unbalanced propeller in another."""
+    flags = {"fd_imbalanced_prop": True, "fd_motor": False}
+    flight = Flight(others=lambda at: {"failure_detector_status": flags if at >= 30.0 else dict.fromkeys(flags, False)})
+    review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
+    assert review.sentence.startswith(
+        "First, at 30.0 s, the autopilot announced: failure detector: propeller imbalance"
+    )
+
+
+def test_a_vehicle_without_any_motor_is_judged_by_the_rest(tmp_path: Path) -> None:
+    flight = Flight(motors=lambda _: [float("nan")] * 4, fix=lambda at: 0 if 30.0 <= at < 35.0 else 3)
+    assert names(rules_on(px4_log(tmp_path / "flight.ulg", flight))) == ["gps_lost"]
+
+
+def test_a_log_without_a_landing_detector_flies_by_its_estimators_height(tmp_path: Path) -> None:
+    flight = Flight(
+        others=lambda _: {"vehicle_land_detected": None, "vehicle_air_data": None},
+        texts=[(30.0, "[ekf2] primary EKF changed 1 (filter fault) -> 0")],
+    )
+    review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
+    assert review.facts.flight == (pytest.approx((TAKEOFF_S + 0.7, LANDING_S - 0.7), abs=0.2),)
+    assert "primary EKF changed 1" in review.sentence
+
+
+def test_of_several_accelerometers_the_one_that_clips_is_looked_at(tmp_path: Path) -> None:
+    def second(at: float) -> dict[str, dict[str, object]]:
+        return {"vehicle_imu_status/1": {"accel_clipping": [0, 0, int(10 * at)], "accel_vibration_metric": 30.0}}
+
+    review = rules_on(px4_log(tmp_path / "flight.ulg", Flight(others=second)))
+    assert names(review) == ["vibration"]
+    assert "vehicle_imu_status/1: " in review.findings[0].judgement.evidence[1]
+
+
 def test_a_flood_of_commands_is_a_finding(tmp_path: Path) -> None:
     flight = Flight(commands=[(1.0, 190, 400, 1.0), *((30.0, 190, 512, 0.0) for _ in range(60))])
     review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
@@ -297,7 +335,7 @@ def test_an_attitude_that_accelerometers_and_barometer_contradict_is_the_estimat
     force.values[303, 2] = -blow
     height = LogSignal(times, np.full((600, 1), 0.2), ("barometer",), "m", "BARO")
     motors = LogSignal(times, np.full((600, 4), 0.4), ("a", "b", "c", "d"), "", "motors")
-    assert names(tilted(170.0, acceleration=force, height=height, motors=motors)) == found
+    assert names(tilted(170.0, acceleration=force, height=height, motors=motors, throttle=motors)) == found
 
 
 def test_what_began_sooner_comes_first(tmp_path: Path) -> None:
@@ -341,7 +379,14 @@ def watched(
         duration_s=60.0,
         armed=((0.0, 60.0),),
         flight=((1.0, 58.0),),
-        signals={"motors": motors, "attitude": attitude, "acceleration": force, "gps": fixes, "position": position},
+        signals={
+            "motors": motors,
+            "throttle": motors,
+            "attitude": attitude,
+            "acceleration": force,
+            "gps": fixes,
+            "position": position,
+        },
         watch=LearnedWatch(20.0, alarms),
     )
     return judged(Path("flight.ulg"), facts)
@@ -597,6 +642,28 @@ def test_a_plane_whose_log_has_no_barometer_flies_by_its_receivers_height(tmp_pa
     assert rules_on(path).facts.flight == (pytest.approx((10.0, 40.0), abs=0.1),)
 
 
+@pytest.mark.parametrize(("mode", "found"), [(0, ["turned_over", "attitude_not_followed"]), (1, ["turned_over"])])
+def test_the_oldest_versions_say_height_throttle_and_what_is_wanted_under_other_names(
+    mode: int, found: list[str], tmp_path: Path
+) -> None:
+    """ArduCopter 3.1 without barometer's and outputs' records; in acro its RollIn is a stick."""
+    log = DataflashWriter()
+    log.define("MSG", "QZ", "TimeUS,Message")
+    log.define("MODE", "QB", "TimeUS,Mode")
+    log.define("ATT", "Qffffff", "TimeUS,RollIn,Roll,PitchIn,Pitch,NavYaw,Yaw")
+    log.define("CTUN", "Qhf", "TimeUS,ThrOut,BarAlt")
+    log.add("MSG", 0, "ArduCopter V3.1")
+    log.add("MODE", 0, mode)
+    for tick in range(400):
+        at = tick / 10
+        roll = 130.0 + 10.0 * (tick % 4) if at >= 30.0 else 5.0
+        log.add("ATT", tick * 100_000, 5.0, roll, 0.0, 0.0, 0.0, 0.0)
+        log.add("CTUN", tick * 100_000, 550, 20.0 * (at >= 5.0) - 5.0 * max(at - 30.0, 0.0))
+    path = tmp_path / "copter.bin"
+    path.write_bytes(log.data)
+    assert sorted(names(rules_on(path))) == sorted(found)
+
+
 def test_old_versions_log_hundredths_of_volts(tmp_path: Path) -> None:
     log = DataflashWriter()
     log.define("MSG", "QZ", "TimeUS,Message")
@@ -655,6 +722,9 @@ def test_a_guessed_number_of_cells_is_no_finding(tmp_path: Path) -> None:
     ("at", "text", "said"),
     [
         (30.0, "Battery Failsafe", True),
+        (30.0, "Low Battery!", True),
+        (30.0, "EKF variance", True),
+        (30.0, "GPS Glitch cleared", False),
         (30.0, "Throttle failsafe off", False),
         (30.0, "PreArm: Radio failsafe on", False),
         (LANDING_S + 2.0, "Crash: Disarming", True),

@@ -30,8 +30,8 @@ from replay.review.facts.log_facts import (
 
 TOPICS = frozenset(
     {
-        "ARM", "EV", "ERR", "MODE", "MSG", "PARM", "RCOU", "ATT", "BARO", "PSC", "PSCN", "PSCE", "PSCD", "IMU", "BAT",
-        "CURR", "GPS", "XKF4", "NKF4", "VIBE", "MAVC", "VER", "ESC", *(f"ESC/{k}" for k in range(1, 12)),
+        "ARM", "EV", "ERR", "MODE", "MSG", "PARM", "RCOU", "ATT", "BARO", "CTUN", "PSC", "PSCN", "PSCE", "PSCD", "IMU",
+        "BAT", "CURR", "GPS", "XKF4", "NKF4", "VIBE", "MAVC", "VER", "ESC", *(f"ESC/{k}" for k in range(1, 12)),
         *(f"{kalman}1{lane}" for kalman in ("XKF", "NKF") for lane in ("", "/1", "/2")),
     }
 )  # fmt: skip
@@ -83,8 +83,12 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
         signals["motors"] = output_commands(records, armed, partial(_outputs, records), 4)
     signals["rpm"] = _rpm(records)
     signals["attitude"] = get("ATT", ["Roll", "Pitch", "Yaw"], ANGLES, "deg")
-    signals["attitude_wanted"] = get("ATT", ["DesRoll", "DesPitch", "DesYaw"], ANGLES, "deg")
-    signals["height"] = get("BARO", ["Alt"], ["barometer"], "m").above_begin()
+    signals["attitude_wanted"] = first_known(*(get("ATT", columns, ANGLES, "deg") for columns in _wanted(records)))
+    barometers = (("BARO", "Alt"), ("CTUN", "BAlt"), ("CTUN", "BarAlt"))
+    heights = (get(name, [column], ["barometer"], "m") for name, column in barometers)
+    signals["height"] = first_known(*heights).above_begin()
+    motors = signals.get("motors", NO_SIGNAL).each_sample("throttle", np.max)
+    signals["throttle"] = first_known(motors, _throttle(records))
     kalman = "XKF" if ("XKF4", 0) in set(records.names()) else "NKF"
     signals["height_estimate"] = get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0).above_begin()
     signals["position_apart"] = _position_apart(records, kalman, texts)
@@ -109,6 +113,7 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
         lacks["gps"] = "the log says that its receiver was not used"
     else:
         signals["gps"] = get("GPS", ["Status", "NSats"], ["fix", "satellites"], "")
+    signals["climb_received"] = get("GPS", ["VZ", "Status"], ["down", "fix"], "").climb()
     signals["position"] = get("GPS", ["Lat", "Lng", "Status"], ["north", "east", "fix"], "").way()
     signals["ratios"] = get(f"{kalman}4", ["SV", "SP", "SH"], ["velocity", "position", "height"], "")
     vibration = get("VIBE", ["VibeX", "VibeY", "VibeZ"], ["x", "y", "z"], "m/s2")
@@ -144,6 +149,32 @@ def _outputs(records: LogRecords, numbers: Sequence[int], names: Sequence[str]) 
     """Return some outputs, whatever the version of the autopilot calls them."""
     known = (records.signal("RCOU", [f"{word}{k}" for k in numbers], names, "us") for word in _OUTPUT_WORDS)
     return first_known(*known)
+
+
+def _wanted(records: LogRecords) -> Iterator[list[str]]:
+    """Yield what attitudes that are wanted may be called."""
+    yield ["DesRoll", "DesPitch", "DesYaw"]
+    # before 3.2; its acro mode put sticks there
+    modes = (records.signal("MODE", [column], ["mode"], "").only for column in ("ModeNum", "Mode"))
+    if not any((numbers == _ACRO).any() for numbers in modes):
+        yield ["RollIn", "PitchIn", "NavYaw"]
+
+
+_ACRO = 1
+"""Mode of a copter: https://github.com/ArduPilot/ardupilot/blob/master/ArduCopter/mode.h."""
+
+
+def _throttle(records: LogRecords) -> LogSignal:
+    """Return the throttle that a copter gave all its motors, 0 to 1."""
+    names = ("ThO", "ThrOut")
+    throttle = first_known(*(records.signal("CTUN", [name], ["throttle"], "of full") for name in names))
+    # before 3.4 in thousandths
+    thousandths = np.nanmax(throttle.only, initial=0.0) > _MOST_SHARE
+    return replace(throttle, values=throttle.values / (1000.0 if thousandths else 1.0))
+
+
+_MOST_SHARE = 2.0
+"""More than a share of full command ever is, less than any thousandths of a flight are."""
 
 
 def _position_apart(records: LogRecords, kalman: str, texts: Sequence[tuple[float, str]]) -> LogSignal:

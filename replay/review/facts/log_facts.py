@@ -93,6 +93,11 @@ class LogSignal:
         metres = _DEGREE_M * off * [1.0, np.cos(np.radians(degrees[0, 0])) if known.any() else 1.0]
         return replace(self, time_s=self.time_s[known], values=metres, names=("north", "east"), unit="m")
 
+    def climb(self) -> LogSignal:
+        """Return the speed up (m/s) of a receiver's speed down and kind of fix."""
+        known = self.values[:, -1] >= FIX_3D
+        return replace(self, time_s=self.time_s[known], values=-self.values[known, :1], names=("climb",), unit="m/s")
+
 
 NO_SIGNAL = LogSignal(np.empty(0), np.empty((0, 1)), ("",), "", "")
 """What a log does not hold: a signal of one column without a row."""
@@ -182,12 +187,14 @@ class LogFacts:
 SIGNALS: Mapping[str, str] = {
     "motors": "commands of the motors that fly it, 0 to 1",
     "rpm": "speed of each motor as its ESC measured it",
+    "throttle": "the most that any of its motors was commanded, or their throttle",
     "attitude": "roll, pitch and yaw",
     "attitude_wanted": "roll, pitch and yaw that the autopilot wanted",
     "height": "height by the barometer above the begin of the log",
     "height_estimate": "the estimator's height",
     "climb": "the estimator's vertical speed, up",
     "climb_wanted": "the vertical speed wanted, up",
+    "climb_received": "the receiver's vertical speed, up",
     "acceleration": "specific force, body axes",
     "battery": "voltage and current of the battery",
     "gps": "kind of fix and satellites",

@@ -39,7 +39,11 @@ _KINDS = {1: "plane", 10: "rover", 11: "rover", 12: "submarine"}
 _KINDS |= dict.fromkeys(range(19, 26), "VTOL")
 """Of MAV_TYPE, beside multirotors: fixed wing, ground rover, boat, submarine, and what changes between two kinds."""
 _AUTOPILOTS = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
-_ANNOUNCED = re.compile(r"failsafe|^crash|potential thrust loss|^parachute: released", re.IGNORECASE)
+_ANNOUNCED = re.compile(
+    r"failsafe|^crash|potential thrust loss|^parachute: released|^low battery!|^ekf variance|^gps glitch|"
+    r"^vibration compensation on",
+    re.IGNORECASE,
+)
 _CALLED_OFF = re.compile(r"^(pre)?arm|preflight|clear|recover|resolve|deactivat|disabl|not |\boff\b", re.IGNORECASE)
 """Texts by which autopilots say that they act on what went wrong, and those that say that it is over, or was not."""
 _MILLI = 1e-3
@@ -81,6 +85,7 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
             return get("SERVO_OUTPUT_RAW", [f"servo{k}_raw" for k in numbers], names, "us")
 
         signals["motors"] = output_commands(records, armed, outputs, rotors)
+        signals["throttle"] = signals["motors"].each_sample("throttle", np.max)
     signals["attitude"] = get("ATTITUDE", ANGLES, ANGLES, "deg", float(np.degrees(1.0)))
     turned = get("ATTITUDE_TARGET", [f"q[{k}]" for k in range(4)], [f"q{k}" for k in range(4)], "")
     signals["attitude_wanted"] = turned.angles_deg()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from monitor.alarms.command_watch import CommandSent
 from replay.review.facts.log_facts import (
     NO_SIGNAL,
+    Floats,
     LogFacts,
     LogRecords,
     LogSignal,
@@ -18,19 +20,22 @@ from replay.review.facts.log_facts import (
     Statement,
     first_known,
     inside,
+    off_ground,
     overlap,
     state_spans,
     state_statements,
 )
 
+_INSTANCES = ("", "/1", "/2", "/3")
 TOPICS = frozenset(
     {
         "vehicle_status", "actuator_armed", "vehicle_land_detected", "actuator_motors", "esc_status",
         "vehicle_attitude", "vehicle_attitude_setpoint", "vehicle_air_data", "vehicle_local_position",
         "vehicle_local_position_setpoint",
         "sensor_combined", "battery_status", "vehicle_gps_position", "estimator_status", "estimator_status_flags",
-        "vehicle_imu_status", "vehicle_command", "log/text", "log/parameter",
-        *(f"actuator_outputs{instance}" for instance in ("", "/1", "/2", "/3")),
+        "failure_detector_status",
+        "vehicle_command", "log/text", "log/parameter",
+        *(f"{name}{instance}" for name in ("actuator_outputs", "vehicle_imu_status") for instance in _INSTANCES),
     }
 )  # fmt: skip
 
@@ -40,8 +45,19 @@ _MODES = {
     13: "Termination", 14: "Offboard", 15: "Stabilized", 17: "Takeoff", 18: "Land", 19: "Follow", 20: "Precision land",
     21: "Orbit",
 }  # fmt: skip
-_FAILURES = ("roll", "pitch", "altitude", "external", "ESCs at arming", "battery", "propeller imbalance", "motor")
-"""Bits of failure_detector_status, from the lowest: the same file."""
+_DETECTOR = "failure_detector_status"
+_FAILURES = {
+    "roll": "roll", "pitch": "pitch", "alt": "altitude", "ext": "external", "arm_escs": "ESCs at arming",
+    "battery": "battery", "imbalanced_prop": "propeller imbalance", "motor": "motor", "high_wind": "high wind",
+}  # fmt: skip
+"""Flags of that topic (msg/FailureDetectorStatus.msg), in words."""
+_BITS = {name: bit for bit, name in enumerate(_FAILURES) if name != "high_wind"}
+"""Bits of vehicle_status' field of the same name, for logs without the topic: between 1.12 and 1.13 the upper ones
+meant something else for a while, so what the topic names comes first."""
+_CHANGED = "primary EKF changed"
+"""In the text by which PX4 says that it flies by another of its estimators, as ArduPilot's error 24 does."""
+_ABOUT_THE_LOG = frozenset({2510, 2511})
+"""MAV_CMD_LOGGING_START and _STOP: who sends them listens, and commands no vehicle."""
 _ARMED = 2
 _MULTIROTOR, _FIXED_WING, _ROVER = 1, 2, 3
 """Values of arming_state and vehicle_type: the same file."""
@@ -61,10 +77,10 @@ def px4_facts(records: LogRecords) -> LogFacts:
     arming = get("vehicle_status", ["arming_state"], ["armed"], "").changes(lambda state: state == _ARMED)
     armed = state_spans(arming, end_s)
     landing = get("vehicle_land_detected", ["landed"], ["landed"], "").changes()
-    flight = overlap(state_spans(landing, end_s, state=False), armed)
     signals: dict[str, LogSignal] = {}
     lacks: dict[str, str] = {}
     signals["motors"] = _motors(records, armed, lacks)
+    signals["throttle"] = signals["motors"].each_sample("throttle", np.max)
     signals["rpm"] = _rpm(records, armed)
     quaternion = [f"q[{k}]" for k in range(4)]
     signals["attitude"] = get("vehicle_attitude", quaternion, quaternion, "").angles_deg()
@@ -73,6 +89,8 @@ def px4_facts(records: LogRecords) -> LogFacts:
     barometers = (get(name, ["baro_alt_meter"], ["barometer"], "m") for name in ("vehicle_air_data", "sensor_combined"))
     signals["height"] = first_known(*barometers).above_begin()
     signals["height_estimate"] = get("vehicle_local_position", ["z"], ["estimate"], "m", -1.0).above_begin()
+    height = first_known(signals["height"], signals["height_estimate"])
+    flight = overlap(state_spans(landing, end_s, state=False) if landing else off_ground(armed, height), armed)
     signals["climb"] = get("vehicle_local_position", ["vz"], ["climb"], "m/s", -1.0)
     signals["climb_wanted"] = get("vehicle_local_position_setpoint", ["vz"], ["wanted"], "m/s", -1.0)
     axes = [f"accelerometer_m_s2[{k}]" for k in range(3)]
@@ -86,9 +104,9 @@ def px4_facts(records: LogRecords) -> LogFacts:
     signals["resets"] = counted.above_begin()
     steps = ["delta_xy[0]", "delta_xy[1]", "delta_z", "delta_vxy[0]", "delta_vxy[1]", "delta_vz"]
     signals["reset_steps"] = get("vehicle_local_position", steps, steps, "m, m/s")
-    signals["vibration"] = get("vehicle_imu_status", ["accel_vibration_metric"], ["vibration"], "m/s2")
-    clipping = get("vehicle_imu_status", [f"accel_clipping[{k}]" for k in range(3)], ["x", "y", "z"], "samples")
-    signals["clipping"] = clipping.each_sample("clipped", np.sum)
+    # each has an estimator of its own: of all accelerometers the one that clips most
+    shaken = [_shaken(records, f"vehicle_imu_status{instance}") for instance in _INSTANCES]
+    signals |= max(shaken, key=lambda one: float(np.nanmax(one["clipping"].above_begin().only, initial=0.0)))
     kinds = get("vehicle_status", ["vehicle_type"], ["type"], "")
     rotary = get("vehicle_status", ["is_rotary_wing"], ["type"], "")
     values = {_MULTIROTOR: "multirotor", _FIXED_WING: "plane", _ROVER: "rover"}
@@ -110,14 +128,14 @@ def _motors(records: LogRecords, armed: Spans, lacks: dict[str, str]) -> LogSign
     controls = [f"control[{k}]" for k in range(_MOST_ROTORS)]
     numbers = [f"motor{k + 1}" for k in range(_MOST_ROTORS)]
     commands = records.signal("actuator_motors", controls, numbers, "of full")
-    if commands:
-        there: NDArray[np.bool_] = np.asarray(np.isfinite(commands.values).any(axis=0))
+    there: NDArray[np.bool_] = np.asarray(np.isfinite(commands.values).any(axis=0))
+    if there.any():
         # a motor that the autopilot stopped is NaN while the others are not
         values = np.where(np.isnan(commands.values[:, there]), 0.0, commands.values[:, there])
         names = tuple(name for name, known in zip(numbers, there, strict=True) if known)
         return LogSignal(commands.time_s, values, names, "of full", "actuator_motors")
     moving: list[LogSignal] = []
-    for topic in ("actuator_outputs", "actuator_outputs/1", "actuator_outputs/2", "actuator_outputs/3"):
+    for topic in (f"actuator_outputs{instance}" for instance in _INSTANCES):
         outputs = records.signal(topic, [f"output[{k}]" for k in range(8)], numbers[:8], "of full")
         during = outputs.values[inside(outputs.time_s, armed)]
         # a switch or a constant takes few values
@@ -145,6 +163,15 @@ def _scaled(outputs: LogSignal, moves: NDArray[np.bool_]) -> LogSignal:
         share = values / _DSHOT_FULL
     names = tuple(name for name, moved in zip(outputs.names, moves, strict=True) if moved)
     return LogSignal(outputs.time_s, share, names, "of full", outputs.origin)
+
+
+def _shaken(records: LogRecords, topic: str) -> dict[str, LogSignal]:
+    """Return how an accelerometer vibrates and clips."""
+    clipping = records.signal(topic, [f"accel_clipping[{k}]" for k in range(3)], ["x", "y", "z"], "samples")
+    return {
+        "vibration": records.signal(topic, ["accel_vibration_metric"], ["vibration"], "m/s2"),
+        "clipping": clipping.each_sample("clipped", np.sum),
+    }
 
 
 def _rpm(records: LogRecords, armed: Spans) -> LogSignal:
@@ -175,8 +202,7 @@ def _gps(records: LogRecords, signals: dict[str, LogSignal], lacks: dict[str, st
     fused = first_known(*uses)
     if not fused:
         flags = records.signal("estimator_status", ["control_mode_flags"], ["flags"], "")
-        bit = (flags.only.astype(np.int64) >> _GPS_BIT) & 1
-        fused = replace(flags, values=bit[:, None].astype(np.float64))
+        fused = replace(flags, values=_bit(_GPS_BIT, flags.values).astype(np.float64))
     if fused and not fused.only[inside(fused.time_s, flight)].any():
         lacks["gps"] = "the estimator did not use GPS in flight; what its receiver said has moved nothing"
         return
@@ -185,20 +211,28 @@ def _gps(records: LogRecords, signals: dict[str, LogSignal], lacks: dict[str, st
     names = ["north", "east", "fix"]
     found = (records.signal("vehicle_gps_position", columns, names, "") for columns in places)
     signals["position"] = first_known(*found).way()
+    speed = records.signal("vehicle_gps_position", ["vel_d_m_s", "fix_type"], ["down", "fix"], "")
+    signals["climb_received"] = speed.climb()
 
 
 def _statements(records: LogRecords) -> Iterator[Statement]:
     for at, row in records.listed("log/text"):
-        yield Statement(at, "text", str(row.get("text", "")).strip(), int(row.get("level", 6)))
+        text = str(row.get("text", "")).strip()
+        changed = _CHANGED in text
+        yield Statement(at, "failsafe" if changed else "text", text, 1 if changed else int(row.get("level", 6)))
     for at, value in records.signal("vehicle_status", ["nav_state"], ["mode"], "").changes():
         yield Statement(at, "mode", f"mode {_MODES.get(int(value), int(value))}")
     for at, value in records.signal("vehicle_status", ["failsafe"], ["failsafe"], "").changes():
         if value:
             yield Statement(at, "failsafe", "failsafe active", 1)
-    for at, value in records.signal("vehicle_status", ["failure_detector_status"], ["bits"], "").changes():
-        if value:
-            bits = [name for bit, name in enumerate(_FAILURES) if int(value) >> bit & 1]
-            yield Statement(at, "failsafe", f"failure detector: {', '.join(bits)}", 1)
+    named = {name: records.signal(_DETECTOR, [f"fd_{name}"], [name], "").changes() for name in _FAILURES}
+    bits = records.signal("vehicle_status", ["failure_detector_status"], ["bits"], "")
+    if not any(named.values()):
+        named = {name: bits.changes(partial(_bit, bit)) for name, bit in _BITS.items()}
+    for name, entries in named.items():
+        for at, value in entries:
+            if value:
+                yield Statement(at, "failsafe", f"failure detector: {_FAILURES[name]}", 1)
     for k in range(_MOST_ROTORS):
         control = records.signal("actuator_motors", [f"control[{k}]"], [""], "")
         if np.isfinite(control.only).any():
@@ -210,9 +244,14 @@ def _statements(records: LogRecords) -> Iterator[Statement]:
                 yield Statement(at, "kill", text, 1)
 
 
+def _bit(bit: int, values: Floats) -> NDArray[np.int64]:
+    return values.astype(np.int64) >> bit & 1
+
+
 def _commands(records: LogRecords) -> Iterator[CommandSent]:
     for at, row in records.listed("vehicle_command"):
         values = tuple(float(row.get(f"param{k}", 0.0)) for k in range(1, 8))
-        if row.get("from_external", True):
+        number = int(row.get("command", 0))
+        if row.get("from_external", True) and number not in _ABOUT_THE_LOG:
             system, component = int(row.get("source_system", 0)), int(row.get("source_component", 0))
-            yield CommandSent(at, system, component, str(int(row.get("command", 0))), values)
+            yield CommandSent(at, system, component, str(number), values)

@@ -17,17 +17,19 @@ _APART_S = 0.5
 """Chosen: twice the time in which a multirotor rolls by its greatest angle."""
 
 
-def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, motors: LogSignal) -> Iterator[Judgement]:
+def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, throttle: LogSignal) -> Iterator[Judgement]:
     times = attitude.time_s
     apart = _apart(attitude, wanted)
     end_s = lost_s(facts)
     # what came before the motors were stopped, and the tumbling itself; idle motors hold no attitude
-    most = motors.at(times).max(axis=1)
+    commanded = throttle.at(times)[:, 0]
     judged = facts.in_flight(times) & (times < end_s + _APART_S)
-    judged &= most > IDLE * np.median(most[judged & np.isfinite(most)] if judged.any() else 0.0)
+    usual = np.median(commanded[judged & np.isfinite(commanded)] if judged.any() else 0.0)
+    judged &= commanded > IDLE * usual
     far = (apart > _APART_DEG).any(axis=1) & judged
     # what never followed has not stopped to: an estimator that does not know its attitude yet
     far &= np.logical_or.accumulate(judged & ~far)
+    motors = facts.signal("motors")
     spans = (span for span in spans_where(times, far, _APART_S) if _left(attitude, apart, *span))
     for start, end in [span for span in spans if not undisturbed(facts, span[0])][:1]:
         within = (times >= start) & (times <= end)
@@ -88,8 +90,8 @@ RULE = Rule(
         "the attitude itself moved; on the ground only the sticks would",
         "accelerometers or the barometer show a blow, a fall or a tilt, if the log has them",
     ),
-    needs=("attitude", "attitude_wanted", "motors"),
-    plots=("attitude", "attitude_wanted", "motors"),
+    needs=("attitude", "attitude_wanted", "throttle"),
+    plots=("attitude", "attitude_wanted", "motors", "throttle"),
     judge=_judge,
     multirotor=True,
     least_hz=7.5,  # of half a second four samples

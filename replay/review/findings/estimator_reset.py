@@ -34,7 +34,7 @@ def _judge(facts: LogFacts, resets: LogSignal) -> Iterator[Judgement]:
             yield Judgement(
                 span=(late[0], late[-1]),
                 text=f"the estimator reset its {name} {len(late)} time{'s' * (len(late) > 1)} in flight"
-                + (f", {by}{largest:.2g} {unit}" if np.isfinite(largest) else ""),
+                + (f", {by}{float(f'{largest:.2g}'):g} {unit}" if np.isfinite(largest) else ""),
                 evidence=(f"{resets.origin}: counter of {name} from {late[0]:.1f} s on",),
                 weight="warning" if name in ("position", "height") else "information",
             )

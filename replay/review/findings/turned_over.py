@@ -47,8 +47,8 @@ RULE = Rule(
         "flips in acro modes, after which it flies on, are information only",
         "if only the estimator were wrong, there would be no blow, no fall, and no acceleration of hanging upside down",
     ),
-    needs=("attitude", "motors"),
-    plots=("attitude", "motors", "height"),
+    needs=("attitude", "throttle"),
+    plots=("attitude", "motors", "throttle", "height"),
     judge=_judge,
     multirotor=True,
 )
