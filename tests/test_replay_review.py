@@ -554,7 +554,7 @@ def test_what_the_log_lacks_is_said(tmp_path: Path) -> None:
     review = rules_on(px4_log(tmp_path / "flight.ulg", Flight(connected=False, volts=lambda _: 0.05, gps_used=False)))
     assert "none is connected" in review.unjudged["Battery empty"]
     assert "did not use GPS" in review.unjudged["GPS fix lost in flight"]
-    assert "speed of each motor" in review.unjudged["Motor slower than commanded"]
+    assert "motor speeds" in review.unjudged["Motor slower than commanded"]
 
 
 def test_a_log_without_a_flight_is_not_judged(tmp_path: Path) -> None:
@@ -618,7 +618,7 @@ def test_motors_of_a_vtol_may_stand_in_the_air(suffix: str, tmp_path: Path) -> N
     flight = replace(CASES["motor_command_stopped"], vtol=True)
     review = rules_on((px4_log if suffix == "ulg" else telemetry)(tmp_path / f"flight.{suffix}", flight))
     assert names(review) == []
-    assert review.unjudged["One motor commanded to stop"] == "holds of multirotors; the vehicle is a VTOL"
+    assert review.unjudged["One motor commanded to stop"] == "for multirotors alone; the vehicle is a VTOL"
 
 
 def test_a_rover_may_be_disarmed_by_anybody() -> None:

@@ -125,7 +125,7 @@ def review_log(path: Path, *, learn: bool = True) -> LogReview:
 
         facts = learned(path, facts)
     else:
-        facts = replace(facts, lacks={**facts.lacks, "watch": "it was not asked for"})
+        facts = replace(facts, lacks={**facts.lacks, "watch": "left out, as asked (--quick)"})
     return judged(path, facts, damage)
 
 
@@ -169,12 +169,12 @@ def _lacking(rule: Rule, facts: LogFacts) -> Iterator[str]:
         yield "the log shows no flight"
     if rule.multirotor and facts.vehicle != "multirotor":
         kind = f"a {facts.vehicle}" if facts.vehicle else "not known to be one"
-        yield f"holds of multirotors; the vehicle is {kind}"
+        yield f"for multirotors alone; the vehicle is {kind}"
     for name in rule.needs:
         if name == "watch" and facts.watch is not None:
             continue
         if name not in facts.signals:
-            yield facts.lacks.get(name) or f"the log does not hold {SIGNALS[name]}"
+            yield facts.lacks.get(name) or f"the log has no {SIGNALS[name]}"
         elif facts.signals[name].rate_hz < rule.least_hz:
             signal = facts.signals[name]
             yield f"{signal.origin} comes {signal.rate_hz:.2g} times a second; it takes {rule.least_hz:g} to tell"

@@ -94,7 +94,7 @@ def review_lines(review: LogReview) -> Iterator[str]:
         # what holds of all findings of a rule is said once
         counter = finding.judgement.counter if finding.rule.name in explained else finding.counter
         explained.add(finding.rule.name)
-        yield from (f"      looks alike: {line}" for line in counter)
+        yield from (f"      other causes: {line}" for line in counter)
     entries = review.timeline()
     if entries:
         yield "  time line:"

@@ -64,9 +64,9 @@ def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
             facts(
                 [
                     ("how sure", said.confidence),
-                    ("where", finding.rule.stage),
+                    ("stage", finding.rule.stage),
                     *(("evidence", line) for line in said.evidence),
-                    *(("what else looks so", line) for line in finding.counter),
+                    *(("other causes", line) for line in finding.counter),
                     ("physics", finding.rule.physics),
                 ]
             ),

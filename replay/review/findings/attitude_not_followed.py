@@ -36,6 +36,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, throttle: Lo
         axis = int(np.argmax(np.nanmax(apart[within], axis=0)))
         most = float(np.nanmax(apart[within, axis]))
         name = attitude.names[axis]
+        origins = " and ".join(dict.fromkeys((attitude.origin, wanted.origin)))
         about = motors.during(start - 1.0, start + 1.0)
         peaks = np.nanmax(about.values, axis=0, initial=0.0)
         full = [motor for motor, peak in zip(motors.names, peaks.tolist(), strict=True) if peak > FULL]
@@ -44,7 +45,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, throttle: Lo
             text=f"{name} was up to {most:.0f} degrees off the wanted value, for {end - start:.1f} s"
             + (f", with {' and '.join(full)} at full command" if full else ""),
             evidence=(
-                f"{attitude.origin} against {wanted.origin}: {most:.0f} degrees apart in {name} from {start:.2f} s on",
+                f"{origins}: {name} and the {name} wanted up to {most:.0f} degrees apart, from {start:.2f} s on",
                 *([f"{motors.origin}: {', '.join(full)} at full command"] if full else []),
                 *_high(facts, start),
             ),

@@ -27,7 +27,9 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 span=(command.time_s, command.time_s),
                 text=said.text,
                 evidence=(f"{name} at {command.time_s:.2f} s with {', '.join(map(str, command.values)) or 'nothing'}",),
-                counter=(f"commands before take-off came from {known or 'nobody'}",),
+                counter=(
+                    f"commands before take-off came from {known}" if known else "no command came before take-off",
+                ),
                 confidence="likely" if known else "possible",
                 # a vehicle that does not fly is disarmed at the end of each drive, by whoever has it at hand
                 weight=said.weight if facts.flies or not ends else "information",

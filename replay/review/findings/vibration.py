@@ -33,8 +33,7 @@ def _judge(facts: LogFacts, vibration: LogSignal) -> Iterator[Judgement]:
     spans = spans_where(times, high) or [(float(times[judged][0]), float(times[judged][-1]))]
     yield Judgement(
         span=(spans[0][0], spans[-1][1]),
-        text=f"strong vibration, up to {most:.0f} m/s2"
-        + (f", and {clipped:.0f} clipped samples of an accelerometer" if clipped else ""),
+        text=_said(most, clipped, bool(high.any())),
         evidence=(
             f"{vibration.origin}: above {limit:g} m/s2 in {100 * high.sum() / judged.sum():.0f} % of the flight",
             *([f"{facts.signals['clipping'].origin}: {clipped:.0f} clipped samples in flight"] if clipped else []),
@@ -42,6 +41,13 @@ def _judge(facts: LogFacts, vibration: LogSignal) -> Iterator[Judgement]:
         weight="warning" if clipped >= _CLIPPED else "information",
         event=False,
     )
+
+
+def _said(most: float, clipped: float, strong: bool) -> str:
+    if not strong:
+        return f"an accelerometer was at the end of its range in {clipped:.0f} samples, vibration up to {most:.0f} m/s2"
+    also = f", and {clipped:.0f} clipped samples of an accelerometer" if clipped else ""
+    return f"strong vibration, up to {most:.0f} m/s2{also}"
 
 
 def _clipped(facts: LogFacts) -> float:
