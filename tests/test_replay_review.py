@@ -108,6 +108,8 @@ CASES: dict[str, Flight] = {
     "attitude_not_followed": Flight(tilt_deg=between(30.0, 32.0, 50.0, 0.0)),
     "turned_over": Flight(tilt_deg=between(30.0, 32.0, 150.0, 0.0)),
 }
+SHOWN_APART = {"log_ends_in_flight", "position_altered", "attitude_contradicted"}
+"""Findings whose flights take more than a PX4 log of the usual records: each has a test of its own."""
 LOOK_ALIKES: dict[str, Flight] = {
     "a plain flight": Flight(rpm=speeds()),
     "a landing on a roof": Flight(
@@ -210,7 +212,7 @@ def test_each_finding_is_first_where_it_is_the_cause(name: str, tmp_path: Path) 
 
 
 def test_every_finding_has_a_flight_that_shows_it() -> None:
-    assert {rule.name for rule in RULES} == {*CASES, *LEARNED, "log_ends_in_flight", "position_altered"}
+    assert {rule.name for rule in RULES} == {*CASES, *LEARNED, *SHOWN_APART}
 
 
 @pytest.mark.parametrize(
@@ -322,11 +324,33 @@ def tilted(roll: float, **others: LogSignal) -> LogReview:
     return judged(Path("carried.bin"), facts)
 
 
+@pytest.mark.parametrize(
+    ("felt", "climbed", "found"),
+    [
+        ((0.0, 4.0, -8.9), 0.1, True),  # it leans by 24 degrees to the left
+        ((0.0, -5.0, -14.0), 0.1, False),  # a dash that keeps its height, by thrust and drag
+        ((0.0, 0.0, -9.8), -7.0, False),  # it falls
+        ((0.0, -9.3, -3.0), 0.1, False),  # it lies on its side
+    ],
+)
+def test_an_estimator_that_leans_alone_is_named(felt: tuple[float, float, float], climbed: float, found: bool) -> None:
+    times = np.arange(600) / 10
+    leaning = np.clip((times - 30.0) / 4.0, 0.0, 1.0)
+    attitude = LogSignal(times, np.outer(leaning, [70.0, 0.0, 0.0]), ("roll", "pitch", "yaw"), "deg", "ATT")
+    force = LogSignal(times, np.tile(felt, (600, 1)), ("x", "y", "z"), "", "IMU")
+    height = LogSignal(times, climbed * leaning[:, None], ("barometer",), "m", "BARO")
+    signals = {"attitude": attitude, "acceleration": force, "height": height}
+    facts = LogFacts("ArduPilot", "multirotor", 0, 60.0, ((0.0, 60.0),), ((1.0, 36.0),), signals)
+    assert names(judged(Path("log.bin"), facts)) == ["attitude_contradicted"] * found
+
+
 def test_an_attitude_is_not_judged_where_nothing_tells_what_the_motors_were_commanded() -> None:
     assert names(tilted(170.0)) == []
 
 
-@pytest.mark.parametrize(("blow", "found"), [(9.8, []), (60.0, ["turned_over", "attitude_not_followed"])])
+@pytest.mark.parametrize(
+    ("blow", "found"), [(9.8, ["attitude_contradicted"]), (60.0, ["turned_over", "attitude_not_followed"])]
+)
 def test_an_attitude_that_accelerometers_and_barometer_contradict_is_the_estimators(
     blow: float, found: list[str]
 ) -> None:

@@ -6,6 +6,7 @@ from typing import Final
 
 from replay.review.findings import (
     actuator_effect,
+    attitude_contradicted,
     attitude_not_followed,
     battery_low,
     commands_from_outside,
@@ -33,6 +34,6 @@ RULES: Final[tuple[Rule, ...]] = tuple(
         commands_from_outside, position_altered, landing_detected_in_air, motors_stopped_in_air,
         motor_command_stopped, battery_low, log_ends_in_flight, esc_stopped, motor_at_limit, actuator_effect,
         descent_not_followed, turned_over, attitude_not_followed, gps_lost, gps_stuck, sensor_effect,
-        vibration, innovations_refused, estimator_reset, failsafe,
+        vibration, attitude_contradicted, innovations_refused, estimator_reset, failsafe,
     )
 )  # fmt: skip
