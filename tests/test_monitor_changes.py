@@ -242,7 +242,9 @@ def test_a_lag_that_lets_next_to_nothing_through_at_first_explains_what_one_that
             np.array([[1e-4, 0.0, 0.0]]), 5, 200, CLIP, 1_000.0,
         )  # fmt: skip
         times_ns = np.arange(n) * 10_000_000
-        return test.run(u[:, None], y[:, None], flags, np.eye(1, n, dtype=np.uint8)[0], times_ns, flags, nobody)[1]
+        return test.run(
+            u[:, None], y[:, None], flags[:, None], np.eye(1, n, dtype=np.uint8)[0], times_ns, flags, nobody
+        )[1]
 
     assert nats([first, 0.7, 0.3]) == pytest.approx(nats([0.0, 0.7, 0.3]), abs=1.0)
 

@@ -523,6 +523,8 @@ cdef class Weighing:
             for i in range(self.alarms):
                 if i >= faults:
                     evidence[k, i], speaking[k, i], scale[k, i] = unexplained[k], armed[k], outside
+                    for j in range(outputs):
+                        speaking[k, i] &= not lost[k, first + j]
                     continue
                 fault = self.fault_of[i]
                 hidden = True

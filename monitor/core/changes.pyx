@@ -203,16 +203,22 @@ cdef class ChangeTest:
     # onset ``age`` rows older than the newest is at ``newest + age``; room for further ones is before it.
     cdef double[:, ::1] moment, information, mixed
     cdef double[::1] energy
+    # how many outputs were known in as many rows, as the energy is kept
+    cdef double[::1] axes
     # Beyond the settling of its response all onsets add the same: these sums are to be added to those of every onset.
     cdef double[::1] settled_moment, settled_information
-    cdef double settled_energy
+    cdef double settled_energy, settled_axes
     # upper bound of the nats of each hypothesis; the best one of the row before and the best of another fault
     cdef double[::1] bound
     cdef Py_ssize_t[::1] best_age
     cdef Py_ssize_t leading[2]
-    cdef Py_ssize_t begun, newest, known, commands
+    cdef Py_ssize_t begun, newest, commands
+    # whether each output was measured in the row before, and for how many rows its innovations have been known
+    cdef uint8_t[::1] has_y
+    cdef Py_ssize_t[::1] known
+    # of each hypothesis, for how many rows all outputs that it shows in have told of it: its onsets are as young
+    cdef Py_ssize_t[::1] told
     cdef int64_t row
-    cdef bint has_y
 
     def __init__(self, dynamics, curves, taps, judged, actuators, additions, grown, owner, sudden, faults, driven,
                  largest, rate_hz, whitening, variance, hold, window, clip, level_rows):
@@ -242,7 +248,9 @@ cdef class ChangeTest:
         self.is_sudden = np.repeat([1, 0], [2 * self.m, self.m]).astype(np.uint8)
         self.is_sudden = np.concatenate([self.is_sudden, np.asarray(sudden)]).astype(np.uint8)
         self.moment, self.information, self.mixed = np.zeros((3, self.H, self.window + ROOM))
-        self.energy, self.since = np.zeros(self.window + ROOM), np.arange(self.window + self.D) / self.rate_hz
+        self.energy, self.axes = np.zeros((2, self.window + ROOM))
+        self.since = np.arange(self.window + self.D) / self.rate_hz
+        self.has_y, self.known = np.zeros(self.p, np.uint8), np.zeros(self.p, np.intp)
         self.settled_moment, self.settled_information, self.bound = np.zeros((3, self.H))
         self.leading[0] = self.leading[1] = 0
         self.best_age = np.zeros(self.H, np.intp)
@@ -252,6 +260,7 @@ cdef class ChangeTest:
         lost = np.ones((self.D, 3 * self.m, self.p))
         self.course = np.ascontiguousarray(np.concatenate([lost, additions], axis=1).transpose(1, 2, 0))
         self.of_h, self.from_h = _nonzero(np.abs(self.course).max(axis=2))
+        self.told = np.zeros(self.H, np.intp)
         self.impulse = self._impulse(np.asarray(dynamics), np.asarray(taps), np.asarray(whitening))
         self.direct = self._impulse(np.asarray(dynamics), np.ones(1), np.asarray(whitening))
         self.row = 0
@@ -269,9 +278,10 @@ cdef class ChangeTest:
 
     cdef void clear(self) noexcept:
         """Forget what came before a restart."""
-        self.has_y = False
+        self.has_y[:] = 0
         self.level[:] = 1.0
-        self.known = self.commands = 0
+        self.known[:] = 0
+        self.commands = 0
         self.drop_onsets()
 
     cdef void drop_onsets(self) noexcept:
@@ -279,9 +289,10 @@ cdef class ChangeTest:
         self.settled_moment[:] = 0.0
         self.settled_information[:] = 0.0
         self.bound[:] = 0.0
-        self.settled_energy = 0.0
+        self.told[:] = 0
+        self.settled_energy = self.settled_axes = 0.0
 
-    def innovations(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] usable,
+    def innovations(self, const double[:, :] u, const double[:, :] y, const uint8_t[:, :] usable,
                     const uint8_t[:] restart):
         """Return what the noise is fitted to: innovations (N, p), r and d (N, 2 p), and where they are known (N,)."""
         cdef Py_ssize_t k, i, count = u.shape[0]
@@ -290,13 +301,14 @@ cdef class ChangeTest:
         cdef uint8_t[::1] known = results[2]
         for k in range(count):
             self.take(u, y, k, usable[k], restart[k], False)
-            known[k] = self.known > 0
+            known[k] = True
             for i in range(self.p):
+                known[k] &= self.known[i] > 0
                 found[k, i] = self.innovation[self.row % self.length, i]
                 excited[k, i], excited[k, self.p + i] = self.most_excited[i], self.most_excited[self.p + i]
         return results
 
-    def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] usable, const uint8_t[:] restart,
+    def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:, :] usable, const uint8_t[:] restart,
             const int64_t[:] times_ns, const uint8_t[:] armed, const double[:, :] believed, const double[:] asked=None,
             bint ahead=False):
         """Return the named fault (N,), -1 for none, with nats, size, its growth a second, sd and time of onset (N,).
@@ -310,8 +322,10 @@ cdef class ChangeTest:
             Samples.
         times_ns : int64 (N,)
             Vehicle times.
-        usable, restart, armed : bool (N,)
-            Samples that are measured and complete, at which the observer starts afresh, that are evidence.
+        usable : bool (N, p)
+            Which judged outputs are measured and complete: the others tell nothing, for or against any fault.
+        restart, armed : bool (N,)
+            Samples at which the observer starts afresh, that are evidence.
         believed : float64 (N, a)
             Signed size of each of the observer's faults as it believes it.
         asked : float64 (N,), optional
@@ -319,7 +333,7 @@ cdef class ChangeTest:
         ahead : bool
             Whether a row's y is what comes after its u, not with it.
         """
-        cdef Py_ssize_t k, owner, count = u.shape[0]
+        cdef Py_ssize_t k, i, owner, count = u.shape[0]
         cdef double sign = -1.0 if self.m else 1.0
         cdef bint known
         results = np.empty(count, np.intp), *np.zeros((4, count)), np.empty(count, np.int64)
@@ -330,7 +344,10 @@ cdef class ChangeTest:
         for k in range(count):
             self.take(u, y, k, usable[k], restart[k], ahead)
             named[k], onset_ns[k] = -1, times_ns[k]
-            known = self.known > self.P and self.commands > self.depth
+            known = False
+            for i in range(self.p):
+                known |= self.known[i] > self.P
+            known &= self.commands > self.depth
             if known and (armed[k] or self.driven):
                 # A stream's noise is there before what counts as evidence; an actuator's is of its motion.
                 self.whiten()
@@ -345,8 +362,8 @@ cdef class ChangeTest:
                 onset_ns[k] -= <int64_t>rint(found.age * self.step_ns)
         return results
 
-    cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, bint usable, bint restart,
-                   bint ahead) noexcept:
+    cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, const uint8_t[:] usable,
+                   bint restart, bint ahead) noexcept:
         """Follow one row: v, the innovation nu = y - (A y- + B v- + c), and what excites the model's errors."""
         cdef Py_ssize_t i, j, d, row, before
         cdef double value, power, moved, command
@@ -370,7 +387,7 @@ cdef class ChangeTest:
                 self.acting[row, j] += self.taps[d] * self.v[back(row, d + 1 - ahead, self.length), j]
         for i in range(self.p):
             value = y[k, self.judged[i]]
-            if not self.has_y or not usable:
+            if not self.has_y[i] or not usable[i]:
                 self.innovation[row, i] = 0.0
             else:
                 moved = self.dynamics[i, self.n + self.s]
@@ -390,9 +407,10 @@ cdef class ChangeTest:
                     value += self.dynamics[i, self.n + j] * self.v[row, j]
             self.excited[self.row % self.hold, i] = fabs(value)
             self.excited[self.row % self.hold, self.p + i] = fabs(moved)
-        self.known = self.known + 1 if self.has_y and usable and self.commands + ahead >= self.L else 0
+        for i in range(self.p):
+            self.known[i] = self.known[i] + 1 if self.has_y[i] and usable[i] and self.commands + ahead >= self.L else 0
+            self.has_y[i] = usable[i]
         self.commands += 1
-        self.has_y = usable
         for j in range(self.n):
             self.last_y[j] = y[k, j]
         self.hold_excitation()
@@ -411,6 +429,9 @@ cdef class ChangeTest:
         cdef Py_ssize_t i, j, d, lag, newest = self.row % self.length
         cdef double e, rate, moved, square, level, length = 0.0, weight
         for i in range(self.p):
+            self.whitened[i] = 0.0
+            if self.known[i] <= self.P:
+                continue
             e = self.innovation[newest, i]
             for lag in range(self.P):
                 for d in range(self.from_nu[i], self.from_nu[i + 1]):
@@ -429,6 +450,9 @@ cdef class ChangeTest:
         # A row that no noise explains counts as one of larger noise: for and against every hypothesis alike.
         weight = min(1.0, self.clip / sqrt(length)) if length > 0.0 else 1.0
         for i in range(self.p):
+            self.pull[i] = self.weight[i] = 0.0
+            if self.known[i] <= self.P:
+                continue
             self.whitened[i] *= weight
             self.pull[i] = self.whitened[i] * weight / self.sigma[i]
             self.weight[i] = weight * weight / (self.sigma[i] * self.sigma[i])
@@ -444,9 +468,10 @@ cdef class ChangeTest:
         for h in range(self.H):
             self.moment[h, self.newest] = -self.settled_moment[h]
             self.information[h, self.newest] = self.mixed[h, self.newest] = -self.settled_information[h]
-        self.energy[self.newest] = -self.settled_energy
+        self.energy[self.newest], self.axes[self.newest] = -self.settled_energy, -self.settled_axes
         for i in range(self.p):
             half += 0.5 * self.whitened[i] * self.whitened[i]
+            self.settled_axes += self.known[i] > self.P
         self.settled_energy += half
         for h in range(self.H):
             # No fit explains more of all rows than the best one of those before, and all of this one.
@@ -454,6 +479,11 @@ cdef class ChangeTest:
         self.follow_losses()
         for h in range(self.H):
             self.add_row(h)
+            self.told[h] += 1
+            for i in range(self.from_h[h], self.from_h[h + 1]):
+                if self.known[self.of_h[i]] <= self.P:
+                    # Rows after an onset alone make any size of a little noise.
+                    self.told[h], self.bound[h] = 0, 0.0
 
     cdef void make_room(self) noexcept:
         """Move what is kept of onsets to the end, without the one that leaves the window."""
@@ -463,7 +493,8 @@ cdef class ChangeTest:
             move(&self.information[h, 0], kept, start, self.settled_information[h])
             move(&self.mixed[h, 0], kept, start, self.settled_information[h])
         move(&self.energy[0], kept, start, self.settled_energy)
-        self.newest, self.settled_energy = start, 0.0
+        move(&self.axes[0], kept, start, self.settled_axes)
+        self.newest, self.settled_energy, self.settled_axes = start, 0.0, 0.0
         self.settled_moment[:] = 0.0
         self.settled_information[:] = 0.0
 
@@ -527,11 +558,11 @@ cdef class ChangeTest:
         cdef const double* mixed = &self.mixed[h, self.newest] if self.is_sudden[h] else NULL
         cdef double along = self.settled_moment[h], square = self.settled_information[h]
         # The best onset of the last fit is likely to be the best again: few others come near.
-        cdef Py_ssize_t age = self.best_age[h] + 1
-        if age < self.begun:
+        cdef Py_ssize_t age = self.best_age[h] + 1, count = min(self.begun, self.told[h])
+        if age < count:
             compare(moment, information, mixed, along, square, age, age + 1, &best)
             best.nats *= 1.0 - NEARLY
-        compare(moment, information, mixed, along, square, 0, self.begun, &best)
+        compare(moment, information, mixed, along, square, 0, count, &best)
         self.bound[h], self.best_age[h] = best.nats, best.age
         return best
 
@@ -550,7 +581,7 @@ cdef class ChangeTest:
                 continue
             next_along = next_square = 0.0
             least = NEARLY * self.settled_information[h]
-            for age in range(self.begun):
+            for age in range(min(self.begun, self.told[h])):
                 along = self.moment[h, self.newest + age] + self.settled_moment[h]
                 square = self.information[h, self.newest + age] + self.settled_information[h]
                 if square <= least:
@@ -618,7 +649,7 @@ cdef class ChangeTest:
     cdef Py_ssize_t judge(self, const double[:] believed, double asked, Fitted* chosen) noexcept:
         """Return the fault whose change explains the window best, beyond doubt and with the nats asked, else -1."""
         cdef Py_ssize_t k, h, owner, best = -1, runner = -1
-        cdef double nats, first = -1e300, second = -1e300, unexplained, grown
+        cdef double nats, first = -1e300, second = -1e300, unexplained, axes, grown
         cdef Fitted found
         if not self.may_reach(asked):
             return -1
@@ -643,10 +674,11 @@ cdef class ChangeTest:
         if best < 0 or self.owner[best] >= self.faults.shape[0] or first - second < MARGIN or chosen.nats < asked:
             return -1
         unexplained = self.energy[self.newest + chosen.age] + self.settled_energy - chosen.nats
-        if unexplained > UNEXPLAINED_SHARE * chosen.nats + NOISE_OF_AXIS * self.p * (chosen.age + 1):
+        axes = self.axes[self.newest + chosen.age] + self.settled_axes
+        if unexplained > UNEXPLAINED_SHARE * chosen.nats + NOISE_OF_AXIS * axes:
             return -1
         # What the fit leaves says how well the signature is known: where it is more than noise, so is the size's error.
-        chosen.variance *= max(1.0, 2.0 * unexplained / (self.p * (chosen.age + 1)))
+        chosen.variance *= max(1.0, 2.0 * unexplained / axes)
         if 2 * self.m <= best < 3 * self.m:
             chosen.growth = chosen.size
         grown = self.grows_to(best, chosen.age)

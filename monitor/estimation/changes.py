@@ -144,9 +144,9 @@ class ChangeStage:
             self._depth, self._test = _additions_test(plant, rate_hz, rule, named, judged, common)
         else:
             self._depth, self._test = 1, _actuators_test(plant, rule, len(named), judged, common)
-        self._rate_hz, self._adds = rate_hz, bool(added)
+        self._rate_hz, self._adds, self._partly = rate_hz, bool(added), bool(rule.lasts_s)
         self._u, self._y = np.zeros((1, len(plant.inputs))), np.zeros((1, n))
-        self._usable = np.zeros(1, np.bool_)
+        self._judged, self._usable = judged, np.zeros((1, len(judged)), np.bool_)
 
     def innovations(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Return what the noise is fitted to: innovations (n, p), r and d (n, 2 p), and where they are known (n,)."""
@@ -173,15 +173,22 @@ class ChangeStage:
 
     def _given(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return u and y with those of the sample before beside them, as far as the prediction asks for them."""
-        usable = samples.measured & samples.complete
+        inputs = samples.u.shape[1]
+        usable = np.repeat((samples.measured & samples.complete)[:, None], len(self._judged), axis=1)
         if self._adds:
-            usable &= ~samples.lost.any(axis=1)
+            lost = samples.lost[:, inputs:]
+            if self._partly:
+                # A sample that is not complete for what it lost is so for the rest.
+                usable |= samples.measured[:, None] & lost.any(axis=1, keepdims=True)
+                usable &= ~lost[:, self._judged]
+            # Surfaces move all outputs.
+            usable &= ~samples.lost[:, : inputs if self._partly else None].any(axis=1, keepdims=True)
         if self._depth == 1:
             return samples.u, samples.y, usable, samples.restart
         u, y = np.vstack([self._u, samples.u]), np.vstack([self._y, samples.y])
-        before = np.concatenate([self._usable, usable])
+        before = np.vstack([self._usable, usable])
         self._u, self._y, self._usable = u[-1:], y[-1:], before[-1:]
-        usable = usable & before[:-1] & ~samples.restart
+        usable = usable & before[:-1] & ~samples.restart[:, None]
         return np.hstack([u[1:], u[:-1]]), np.hstack([y[1:], y[:-1]]), usable, samples.restart
 
 
