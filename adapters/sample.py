@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,13 +33,22 @@ class Samples:
     # inputs, then outputs, of which the sample holds no measurement, but a straight line over many lost ones or the
     # newest value (n, s + p)
     lost: NDArray[np.bool_]
+    # how long the straight line is on which each lies over lost measurements, one or more, 0 where none was (n, s + p);
+    # None but of raw signals
+    lines_ns: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.index)
 
     def part(self, start: int, stop: int) -> Samples:
         """Return the samples start <= row < stop, as views."""
-        return Samples(*(getattr(self, name)[start:stop] for name in _COLUMNS))
+        return self.rows(slice(start, stop))
+
+    def rows(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
+        """Return the samples of these rows."""
+        columns = (getattr(self, name) for name in _COLUMNS)
+        found: Iterator[Any] = (None if column is None else column[chosen] for column in columns)
+        return Samples(*found)
 
 
 _COLUMNS = tuple(field.name for field in fields(Samples))
@@ -47,7 +56,9 @@ _COLUMNS = tuple(field.name for field in fields(Samples))
 
 def joined_samples(parts: Sequence[Samples]) -> Samples:
     """Return consecutive samples as one object."""
-    return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
+    columns = ([getattr(part, name) for part in parts] for name in _COLUMNS)
+    joined: Iterator[Any] = (None if column[0] is None else np.concatenate(column) for column in columns)
+    return Samples(*joined)
 
 
 class Given(NamedTuple):

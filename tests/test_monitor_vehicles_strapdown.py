@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -16,6 +17,7 @@ from sampled import raw_samples, rows
 from adapters.batch import pack
 from adapters.errors import TelemetryError
 from adapters.message import Message
+from adapters.sample import Samples
 from adapters.source import MAVLINK
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimation.bank import washout_inverse
@@ -164,12 +166,55 @@ def test_errors_are_larger_by_the_share_of_time_that_was_not_seen_until_it_is_fo
     lost: range, larger: float
 ) -> None:
     samples = raw_samples(truth.signals(70.0), 0)
-    samples.lost[list(lost), : len(IMU)] = True
+    samples.lost[list(lost), len(IMU) : BARO] = True
     beyond = Strapdown({}, truth.SIGNAL_HZ, truth.RATE_HZ).run(samples).beyond
     assert beyond is not None
     assert beyond[:120] == pytest.approx(1.0)
     assert beyond.max() == pytest.approx(larger, rel=0.1)
     assert beyond[-1] < 1.03
+
+
+def over_gaps(raw: np.ndarray, gaps: np.ndarray, ticks: int) -> Samples:
+    """Return raw signals whose IMU and attitude lie on straight lines over so many ticks each."""
+    samples = raw_samples(raw.copy(), 0)
+    lines_ns = np.zeros(raw.shape, np.int64)
+    for first in gaps:
+        share = np.arange(1, ticks)[:, None] / ticks
+        within, signals = slice(first + 1, first + ticks), slice(0, len(IMU))
+        samples.u[within, signals] = (1.0 - share) * raw[first, signals] + share * raw[first + ticks, signals]
+        lines_ns[within, signals] = ticks * 10_000_000
+    samples.complete[:] = ~lines_ns.any(axis=1)
+    return replace(samples, lines_ns=lines_ns)
+
+
+@pytest.mark.parametrize(("shaken", "ticks"), [(0.3, 20), (1.0, 20), (1.0, 8)])
+def test_what_a_line_hides_makes_sizes_larger_by_how_much_this_flight_shakes(shaken: float, ticks: int) -> None:
+    raw = truth.signals(60.0)
+    raw[:, :2] += np.random.default_rng(1).normal(0.0, shaken, (len(raw), 2))
+    gaps = np.arange(500, len(raw) - 100, 50)
+    beyond = Strapdown({}, truth.SIGNAL_HZ, truth.RATE_HZ).run(over_gaps(raw, gaps, ticks)).beyond
+    assert beyond is not None
+    # of white noise: the integral within, and that of both ends over the whole line
+    hidden = (0.01 * shaken) ** 2 * (ticks - 1.0 + 0.5 * (ticks - 1.0) ** 2)
+    expected = np.sqrt(1.0 + 2.0 * hidden * (1.0 - 1.0 / ticks) / 0.05**2)
+    assert beyond[-1] == pytest.approx(expected, rel=0.25)
+    assert beyond[100] == pytest.approx(1.0)
+
+
+def test_through_a_gap_the_vehicle_turns_as_its_attitude_says_which_is_earlier_than_gyros() -> None:
+    raw, early_s = truth.signals(40.0), 0.012
+    t = np.arange(len(raw)) / truth.SIGNAL_HZ
+    raw[:, 3:9] = 0.0
+    for hertz in (0.4, 1.1, 1.9):
+        raw[:, 3] += np.cos(2.0 * np.pi * hertz * t)
+        raw[:, 6] += np.sin(2.0 * np.pi * hertz * (t + early_s)) / (2.0 * np.pi * hertz)
+    gaps = np.arange(1000, len(raw) - 100, 67)
+    turned, lines = [], over_gaps(raw, gaps, 12)
+    for samples in (raw_samples(raw), lines):
+        transform = Strapdown({}, truth.SIGNAL_HZ, truth.RATE_HZ)
+        turned.append(np.cumsum(transform.run(samples).samples.u[:, transform.inputs.index("rate_x")]) / truth.RATE_HZ)
+    by_gyros = np.cumsum(lines.u[:, 3] - raw[:, 3]) / truth.SIGNAL_HZ
+    assert np.median(abs(turned[1] - turned[0])) < 0.25 * np.median(abs(by_gyros[1000:]))
 
 
 def test_a_restart_forgets_the_past() -> None:

@@ -79,7 +79,7 @@ cdef class Navigation:
     cdef double _field_delay_s, _field_timing_s, _field_noise, _field_walk, _direction, _declined, _strength
     cdef double _back_s, _back_off, _field_late_s, _whirl
     # for how long the IMU has lacked; for how long yet a field may be older than its tick, as measurements were lost
-    cdef double _unseen_s, _lined_s
+    cdef double _lined_s
     # whether a gyro was at fault, whose bias an estimator may have learned
     cdef bint _learned
     cdef double[3] _field
@@ -106,7 +106,8 @@ cdef class Navigation:
 
     cdef void restart(self) noexcept
     cdef bint go_on(
-        self, const double* force, const double* rate, const double* R, const double* field, bint lacks, bint lined,
+        self, const double* force, const double* rate, const double* mean, const double* R, const double* field,
+        const double* hidden, bint lined,
         double* acceleration
     ) noexcept
     cdef void align(self, const double* force, const double* rate, double* aligned, double* swing) noexcept

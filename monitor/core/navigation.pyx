@@ -94,12 +94,6 @@ cdef double _BACK_LEAST = 0.5 * _FIELD_LEAST
 cdef double _PEAK_KEPT = 0.8
 # What lies between two samples is their mean, give or take a quarter of their difference: the variance of that.
 cdef double _BETWEEN = 1.0 / 48.0
-# What a straight line of accelerations hides while the IMU lacks: a velocity that is off by so much times the time to
-# the power of 1.5, as where acceleration is a random walk with known ends. Measured on six healthy flights (root of the
-# mean square, m/s, the quietest and the briskest): 0.002 to 0.021 in 0.1 s, 0.01 to 0.09 in 0.3 s, 0.14 to 0.66 in a
-# second, 0.3 to 1.4 in 1.5 s. Rate of which nothing is known meanwhile, rad/s: that of a brisk manoeuvre.
-cdef double _UNSEEN_VELOCITY = 1.0
-cdef double _UNSEEN_RATE = 0.05
 # By how much a hypothesis has to be likelier than any other: 20 to 1.
 cdef double _MARGIN = 3.0
 # By how much less likely a ramp of the GPS's velocity is that goes the way of an accelerometer, before anything is
@@ -213,17 +207,21 @@ cdef class Navigation:
         memset(self._field, 0, sizeof(self._field))
         memset(self._tilting, 0, sizeof(self._tilting))
         self._declined = self._back_s = self._back_off = self._whirl = self._late_s = 0.0
-        self._unseen_s = self._lined_s = 0.0
+        self._lined_s = 0.0
         self._field_late_s = self._field_delay_s
         self._pointed = self._aimed = False
         self._ticks = self._count = self._helpless = 0
         self._turned = False
 
     cdef bint go_on(
-        self, const double* force, const double* rate, const double* R, const double* field, bint lacks, bint lined,
-        double* acceleration
+        self, const double* force, const double* rate, const double* mean, const double* R, const double* field,
+        const double* hidden, bint lined, double* acceleration
     ) noexcept:
-        """Go on by a tick; fill in the acceleration north, east, down. Return whether a fix is due to be met."""
+        """Go on by a tick; fill in the acceleration north, east, down. Return whether a fix is due to be met.
+
+        ``mean`` is the rate over the tick, ``hidden`` are variances of what a straight line hides of the velocity
+        north, east and down in it, and of the angles about the body's axes.
+        """
         cdef double[9] turned
         cdef double[3] turn
         cdef double[3] a
@@ -231,7 +229,7 @@ cdef class Navigation:
         cdef double[3] between
         cdef double[3] aligned
         cdef double[3] swing
-        cdef double change, walk, before
+        cdef double change, walk
         cdef bint first = not self._begun
         cdef int i, j, k
         if first:
@@ -244,9 +242,10 @@ cdef class Navigation:
                 self._noise[i], self._noise[3 + i] = _WALK[0] * _WALK[0] / self._dt, _WALK[1] * _WALK[1] / self._dt
             memcpy(self._force, force, sizeof(self._force))
         for i in range(3):
-            self.shake(i, rate[i] - self._rate[i])
-            self.shake(3 + i, force[i] - self._force[i])
-            turn[i] = (0.5 * (self._rate[i] + rate[i]) - self._bias[i]) * self._dt
+            if hidden[i] == 0.0:
+                self.shake(i, rate[i] - self._rate[i])
+                self.shake(3 + i, force[i] - self._force[i])
+            turn[i] = (mean[i] - self._bias[i]) * self._dt
             between[i] = (rate[i] - self._rate[i]) * self._dt
             self._whirl = fmax(fabs(rate[i]), self._whirl)
         if first:
@@ -273,19 +272,15 @@ cdef class Navigation:
             self.advance(&self._Q[0][k], STATES, specific)
         for k in range(STATES):
             self.advance(self._Q[k], 1, specific)
-        before = self._unseen_s
-        self._unseen_s = before + self._dt if lacks else 0.0
         for i in range(3):
             walk = along(self._R, between, i)
             self._Q[i][i] += self.shaken(i, 0) + _BETWEEN * walk * walk
-            if lacks:
-                self._Q[i][i] += (_UNSEEN_RATE * self._dt) ** 2
+            for j in range(3):
+                self._Q[i][i] += self._R[3 * i + j] ** 2 * hidden[3 + j]
         for i in range(2):
             change = 2.0 * (a[i] - specific[i]) * self._dt
-            self._Q[_V + i][_V + i] += self.shaken(i, 3) + _BETWEEN * change * change
+            self._Q[_V + i][_V + i] += self.shaken(i, 3) + _BETWEEN * change * change + hidden[i]
             self._Q[_BA + i][_BA + i] += _WALK[3] * _WALK[3] * self._dt
-            if lacks:
-                self._Q[_V + i][_V + i] += _UNSEEN_VELOCITY ** 2 * (self._unseen_s ** 3 - before ** 3)
         for i in range(3):
             self._Q[_BG + i][_BG + i] += _WALK[2] * _WALK[2] * self._dt
         self._Q[_H][_H] += self._field_walk * self._field_walk * self._dt

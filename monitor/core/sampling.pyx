@@ -23,12 +23,12 @@ their order count:
 4. A channel's nominal period is the median of its last 31 steps from stamp to stamp; where the grid is slower its
    period takes the place. Lines between measurements up to 1.75 periods apart are as good as measurements. Are those
    around t_k (with ``mean``: any two neighbours whose line is used) further apart, some were lost in between, and the
-   sample is marked ``complete=False``. If three or more are missing, the channel is ``lost``: its straight line is
-   no measurement. One slower than every second tick is lost at a gap only, a mean after a whole tick; the raw signals
-   of a transform, of which integrals are taken, not before ``RAW_LINE_S``. A sample of an observer in which a
-   channel is lost is marked ``measured=False``: the observer coasts on its model. One that comes three times as seldom
-   as in the fitted flights, and as the grid, is lost always: what it did between was never fitted. So is a mean of
-   which there is not more than one measurement a tick, where there were more.
+   sample is marked ``complete=False``; ``lines_ns`` of raw signals says how far. If three or more are missing, the
+   channel is ``lost``: its straight line is no measurement. One slower than every second tick is lost at a gap only, a
+   mean after a whole tick; the raw signals of a transform, of which integrals are taken, not before ``RAW_LINE_S``. A
+   sample of an observer in which a channel is lost is marked ``measured=False``: the observer coasts on its model. One
+   that comes three times as seldom as in the fitted flights, and as the grid, is lost always: what it did between was
+   never fitted. So is a mean of which there is not more than one measurement a tick, where there were more.
    Commands, rates, attitude and IMU of a ``restless`` vehicle that stand still to the bit are lost until they change:
    after five messages, a quarter of a second and twice as many messages as they did of late.
    Where nothing came for longer than 10 periods and than ``max_gap_s`` it is a gap: its ticks are skipped and the
@@ -1118,6 +1118,7 @@ cdef class SamplerCore:
     cdef Tick* _ticks
     cdef double* _vectors
     cdef char* _lost
+    cdef nanoseconds* _lines
     cdef Py_ssize_t _count, _room
     cdef nanoseconds _position
     cdef object _none
@@ -1160,6 +1161,7 @@ cdef class SamplerCore:
         PyMem_Free(self._ticks)
         PyMem_Free(self._vectors)
         PyMem_Free(self._lost)
+        PyMem_Free(self._lines)
 
     @property
     def seldom(self):
@@ -1401,6 +1403,7 @@ cdef class SamplerCore:
         cdef Tick* tick
         cdef double* vector
         cdef char* lost
+        cdef nanoseconds* lines
         cdef Lane lane
         cdef Py_ssize_t room
         cdef bint absent, bridged
@@ -1410,9 +1413,10 @@ cdef class SamplerCore:
             self._ticks = <Tick*>_resized(self._ticks, room * sizeof(Tick))
             self._vectors = <double*>_resized(self._vectors, room * self._size * sizeof(double))
             self._lost = <char*>_resized(self._lost, room * self._size)
+            self._lines = <nanoseconds*>_resized(self._lines, room * self._size * sizeof(nanoseconds))
             self._room = room
         tick, vector = self._ticks + self._count, self._vectors + self._count * self._size
-        lost = self._lost + self._count * self._size
+        lost, lines = self._lost + self._count * self._size, self._lines + self._count * self._size
         tick.complete = tick.measured = True
         tick.known = due
         for lane in self._lanes:
@@ -1448,6 +1452,7 @@ cdef class SamplerCore:
             tick.measured &= not bridged
             for i in range(lane.width):
                 lost[lane.columns[i].place] = bridged
+                lines[lane.columns[i].place] = max(width, due - left) if absent or width > lane.loss else 0
         tick.index, tick.vehicle, tick.position = self._next_tick, due, self._position
         tick.unix_time = self.to_unix(due)
         tick.restart = self._restarting
@@ -1538,10 +1543,13 @@ cdef class SamplerCore:
             flags[k], flags[count + k], flags[2 * count + k] = tick.restart, tick.complete, tick.measured
             memcpy(u + k * self._inputs, self._vectors + k * self._size, self._inputs * sizeof(double))
             memcpy(y + k * outputs, self._vectors + k * self._size + self._inputs, outputs * sizeof(double))
+        lines = np.empty((count, self._size), np.int64) if self._raw else None
         samples = Samples(
-            whole[0], whole[1], whole[2], inputs, measured, marks[0], marks[1], whole[3], marks[2], lost
+            whole[0], whole[1], whole[2], inputs, measured, marks[0], marks[1], whole[3], marks[2], lost, lines
         )
         memcpy(<char*>_data(lost), self._lost, count * self._size)
+        if lines is not None:
+            memcpy(<nanoseconds*>_data(lines), self._lines, count * self._size * sizeof(nanoseconds))
         self._count = 0
         collected = samples, whole[4]
         if not count:

@@ -14,6 +14,7 @@ from cpython.mem cimport PyMem_Free, PyMem_Malloc
 from libc.math cimport INFINITY, M_PI, atan2, cos, fabs, fmod, hypot, pow, sin, sqrt
 from libc.string cimport memcmp, memcpy, memset
 
+from monitor.core.lines cimport LineErrors
 from monitor.core.navigation cimport Navigation, along, field_rate, is_steep, wrapped
 
 cdef double _GRAVITY = STANDARD_GRAVITY
@@ -44,11 +45,11 @@ cdef double _UNSEEN_WAY = 0.26
 # How fast the magnetic field turns about the vertical from which on it is not compared, rad/s: half of the step of the
 # delays that a fit tries, 0.02 s, then makes half of the smallest fault of a compass that is worth an alarm, 0.09 rad.
 cdef double _WHIRLING = 4.5
-# Random walk of the vertical velocity while its acceleration is measured and while it is not, m/s per root of a second.
-# The former is that of the navigation. Chosen: the latter is twice what it was at most on four healthy flights, over
-# 0.1 to 1 s (0.04 to 0.42), as others are flown more briskly.
+# Random walk of the vertical velocity while its acceleration is measured, m/s per root of a second: the navigation's.
 cdef double _WALK = 0.05
-cdef double _UNSEEN_WALK = 1.0
+# Longest line over lost measurements of the magnetic field that tells a heading, s: within it a turn that changes by
+# 10 rad/s^2 is hidden by 3 mrad, thrice the noise of a quiet field; within 0.1 s by 12.
+cdef double _FIELD_LINE_S = 0.05
 # By how much faster the square of what GPS and inertial sensors drift apart grows while one of them lacks. Chosen: of
 # the random walks measured while the acceleration is not, 0.2 m/s per root of a second; _WALK while it is.
 cdef double _UNSEEN_GROWTH = (0.2 / 0.05) ** 2
@@ -87,6 +88,9 @@ cdef enum:
 cdef enum:
     # Most signals, and most u or y, with room to spare.
     _WIDEST = 24
+    # What the navigation reads of a tick: force, rate and attitude, whether they lack, the field, whether any lies on a
+    # line, what lines hide, and the mean rate.
+    _SENSED = 29
 
 
 cdef class _Delay:
@@ -141,15 +145,16 @@ cdef class _Vertical:
         self.depth = self.speed = 0.0
         self._P[0], self._P[1], self._P[2] = self._noise, 0.0, 1.0
 
-    cdef double predict(self, double acceleration, bint unseen) noexcept:
-        """Go on by a tick; return the change of height."""
+    cdef double predict(self, double acceleration, double hidden) noexcept:
+        """Go on by a tick, of whose acceleration a line hides so much of the velocity; return the change of height."""
         cdef double T = self._dt, change = T * (self.speed + 0.5 * T * acceleration)
-        cdef double q = T * (_UNSEEN_WALK if unseen else _WALK) ** 2
+        cdef double q = T * _WALK * _WALK + hidden
         self.depth += change
         self.speed += T * acceleration
         self._P[0] += T * (2.0 * self._P[1] + T * self._P[2])
         self._P[1] += T * self._P[2] + 0.5 * T * q
         self._P[2] += q
+        self.unknown |= hidden > 0.0 and self._P[2] > _SPEED_KNOWN * _SPEED_KNOWN
         return change
 
     cdef void meet(self, int count, const double* heights, const bint* lacks, double* correction) noexcept:
@@ -239,6 +244,11 @@ cdef class StrapdownCore:
     cdef _Delay _motion, _fixes, _altitudes, _levels, _sensed
     cdef Navigation _navigation
     cdef _Vertical _vertical
+    cdef LineErrors _errors
+    # Of the acceleration down as it is delayed: the share of it that counts, and what a line hides of the velocity.
+    cdef double _down_share, _down_hidden
+    # By how much faster the square of what GPS and inertial sensors drift apart grows for what a line hides.
+    cdef double _hidden
     cdef readonly object scores, spreads
     cdef int _washed
     cdef double _biased_s, _attitude_share
@@ -303,6 +313,8 @@ cdef class StrapdownCore:
     cdef double[2] _way
     cdef int _loose
     cdef bint _unstuck
+    # Whether the magnetic field lies on a line too long to tell a heading.
+    cdef bint _faint
     # For how many ticks neither GPS nor IMU has shown a motion, and whether no fix that moves has been met since.
     cdef int _resting
     cdef bint _stood
@@ -345,12 +357,12 @@ cdef class StrapdownCore:
         self._gps, self._baro, self._mag, self._hectopascal, self._dt = gps, baro, mag, hectopascal, dt
         self._speeds = speeds
         # Behind the values: whether their measurements lack.
-        self._motion = _Delay.__new__(_Delay, imu_ticks, 4)
+        self._motion = _Delay.__new__(_Delay, imu_ticks, 6)
         self._fixes = _Delay.__new__(_Delay, gps_ticks, 6)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
         self._levels = _Delay.__new__(_Delay, compass_ticks, 8)
-        self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 20)
-        self._vertical = _Vertical(dt)
+        self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, _SENSED)
+        self._vertical, self._errors = _Vertical(dt), LineErrors(dt)
         self._attitude_share, self._angle_s = attitude_share, angles_s
         self._learned = learned
         self._washed = len(washouts) - (2 if navigation is not None else 0)
@@ -375,6 +387,7 @@ cdef class StrapdownCore:
         if self._navigation is not None:
             self._navigation.restart()
         self._vertical.restart()
+        self._errors.restart()
         self._biased_s = self._unseen = 0.0
         self._turning = self._placed = self._has_before = self._begun = False
         self._fresh = True
@@ -416,6 +429,11 @@ cdef class StrapdownCore:
         cdef const unsigned char[:] restart = samples.restart.view(np.uint8)
         cdef const unsigned char[:, :] lost = samples.lost.view(np.uint8)
         cdef const unsigned char[:] complete = samples.complete.view(np.uint8)
+        cdef const long long[:, :] lines = (
+            samples.lines_ns if samples.lines_ns is not None else np.zeros(samples.lost.shape, np.int64)
+        )
+        cdef double line_s, growth
+        cdef int field = 9 + (3 + self._speeds) * self._gps + self._baro
         cdef Py_ssize_t row, count = 0, most = 0
         cdef double[_WIDEST] now
         cdef double[_WIDEST] places
@@ -446,9 +464,16 @@ cdef class StrapdownCore:
             if restart[row] or self._unstuck:
                 self.restart()
             self.find_lacking(&raw[row, 0], &lost[row, 0], lacks)
-            if not self.tick(&raw[row, 0], lacks, not complete[row], now, places, meant):
+            line_s = self._stills * self._dt
+            for i in range(6):
+                line_s = max(line_s, 1e-9 * lines[row, i])
+            self._faint = self._mag and 1e-9 * lines[row, field] > _FIELD_LINE_S
+            if self._faint:
+                self._doubt[_MAG] = self._longest + 1
+            if not self.tick(&raw[row, 0], lacks, not complete[row], line_s, now, places, meant):
                 continue
-            self._unseen += forgotten * ((lacks[_IMU] or lacks[_GPS]) - self._unseen)
+            growth = max(self._hidden, _UNSEEN_GROWTH if lacks[_GPS] else 0.0)
+            self._unseen += forgotten * (growth - self._unseen)
             if self._has_before and self._begun:
                 # The mean over a tick, by the trapezoidal rule, goes into the mean over the period.
                 for i in range(self._inputs):
@@ -469,14 +494,17 @@ cdef class StrapdownCore:
                         for i in range(self._first[group], self._stop[group]):
                             without[count, self._inputs + i] = True
                 if self._doubt[_IMU]:
-                    without[count, self._inputs :] = True
+                    # All but the GPS's positions are compared with it, and these with the GPS's velocity; but without
+                    # an IMU for long the vehicle is not watched.
+                    i = 2 if self._gps and self._speeds and self._stills * self._dt <= _LONGEST_S else 0
+                    lacking[count, self._inputs + i :] = True
                 flags[0, count], flags[1, count] = self._fresh, whole_sample and not self._corrected
                 flags[3, count], self._moved = self._moved, self._corrected
                 self._fresh = self._corrected = False
                 for i in range(self._inputs):
                     u[count, i] = self._sum[i] / self._summed
                 # y(k) is what was known at the period's start: y+ = phi y + tau (1 - phi) d / T.
-                beyond[count] = sqrt(1.0 + _UNSEEN_GROWTH * self._unseen)
+                beyond[count] = sqrt(1.0 + self._unseen)
                 if self._navigation is not None:
                     scores[count] = self._navigation.score
                     for i in range(6):
@@ -553,17 +581,20 @@ cdef class StrapdownCore:
             self._stills = 0
 
     cdef bint tick(
-        self, const double* signals, const bint* lacks, bint lined, double* u, double* y, double* meant
+        self, const double* signals, const bint* lacks, bint lined, double line_s, double* u, double* y, double* meant
     ) noexcept:
         """Go on by a tick; return whether every delay line is full.
 
         Fills in u of this tick, the integrals y before washing, and the means of u since the tick before. ``lined``:
-        measurements were lost around the tick, so that some signals lie on a line between two of them.
+        measurements were lost around the tick, so that some signals lie on a line between two of them; ``line_s``: how
+        long that of IMU is, 0: it was measured.
         """
         cdef const double* rate = signals + 3
         cdef const double* sensors = signals + 9
         cdef double[9] R
-        cdef double[20] values
+        cdef double[_SENSED] values
+        cdef double[6] hidden
+        cdef double[3] early
         cdef double[3] turning
         cdef double* motion
         cdef double* sensed = NULL
@@ -574,7 +605,7 @@ cdef class StrapdownCore:
         cdef double[3] mean
         cdef double[9] upright
         cdef double biased, course
-        cdef bint full, first, steep = False, still = lacks[_IMU] or self._still
+        cdef bint full, first, steep = False, bridged, still
         cdef int i = 0, k = 0, axis
         values[0], values[1] = cos(signals[6]), sin(signals[6])
         values[2], values[3] = cos(signals[7]), sin(signals[7])
@@ -583,10 +614,14 @@ cdef class StrapdownCore:
         memcpy(before, <double*>R if first else <double*>self._attitude, sizeof(before))
         for axis in range(3):
             mean[axis] = rate[axis] if first else 0.5 * (self._turn_rate[axis] + rate[axis])
+        bridged = self.hide(signals, R, line_s, hidden, early) or lacks[_IMU]
+        still = bridged or self._still
         # What an estimator has learned says nothing of resets of its attitude.
         self.turn(R, rate, still or self._learned, turning)
-        self._still = lacks[_IMU]
+        self._still = bridged
         if still:
+            for axis in range(3):
+                turning[axis] -= early[axis]
             rate = turning
         elif self._learned:
             for axis in range(3):
@@ -614,6 +649,10 @@ cdef class StrapdownCore:
         for axis in range(3):
             values[axis] = along(R, signals, axis)
         values[2], values[3] = values[2] + _GRAVITY, lacks[_IMU]
+        values[4], values[5] = 1.0, 0.0
+        if line_s > 0.0:
+            values[4] = self._errors.down(line_s / self._dt, &values[5])
+            values[5] *= self._dt / line_s
         motion = self._motion.push(values)
         if self._navigation is not None:
             memcpy(values, signals, 3 * sizeof(double))
@@ -624,6 +663,8 @@ cdef class StrapdownCore:
             if self._mag:
                 memcpy(values + 16, sensors + self._gps * (3 + self._speeds) + self._baro, sizeof(self._field))
             values[19] = lined
+            memcpy(values + 20, hidden, sizeof(hidden))
+            memcpy(values + 26, mean, sizeof(mean))
             sensed = self._sensed.push(values)
         full = motion != NULL and level != NULL
         if self._gps:
@@ -698,15 +739,54 @@ cdef class StrapdownCore:
                 meant[i + axis] = rate[axis]
         if self._mag:
             meant[i + 3] = level[4]
+        self._down_share, self._down_hidden = motion[4], motion[5]
         self.reckon(
             motion[3] != 0.0,
             self._gps and fix[5] != 0.0,
             self._baro and altitude[1] != 0.0,
-            self._mag and (self._unread or (lacks[_MAG] and not still and level[5] == 0.0)),
+            self._mag and (self._unread or self._faint or (lacks[_MAG] and not still and level[5] == 0.0)),
             y,
             meant,
         )
         return True
+
+    cdef bint hide(
+        self, const double* signals, const double* R, double line_s, double* hidden, double* early
+    ) noexcept:
+        """Fill in what a line hides of velocity and angle in this tick, as variances; return whether R tells more.
+
+        That is which of gyros and attitude, either on a line, says better by how much the vehicle turns meanwhile.
+        ``early``: rate by which the attitude turns otherwise for being earlier than the gyros.
+        """
+        cdef double[3] angles
+        cdef double[6] value
+        cdef double[3] by_gyros
+        cdef double[3] by_attitude
+        cdef double ticks = max(line_s / self._dt, 2.0)
+        cdef int axis
+        cdef bint better = False, lined = line_s > 0.0
+        memset(hidden, 0, 6 * sizeof(double))
+        memset(angles, 0, sizeof(angles))
+        if self._turning:
+            _small_rotation(self._attitude, R, angles)
+        for axis in range(3):
+            value[axis], value[3 + axis] = along(R, signals, axis), signals[3 + axis]
+            early[axis] = self._errors.early_s() * self._errors.change(3 + axis, value[3 + axis]) / self._dt
+        value[2] += _GRAVITY
+        if lined:
+            for axis in range(3):
+                by_gyros[axis] = self._errors.steep(3 + axis, value[3 + axis], ticks)
+                by_attitude[axis] = self._errors.variance(6 + axis, ticks)
+            # An attitude that follows a wrong gyro, or unlearns its bias, is no witness.
+            better = self._biased_s == 0.0 and (
+                by_attitude[0] + by_attitude[1] + by_attitude[2] < by_gyros[0] + by_gyros[1] + by_gyros[2]
+            )
+            for axis in range(3):
+                hidden[axis] = self._errors.steep(axis, value[axis], ticks) / ticks
+                hidden[3 + axis] = (by_attitude[axis] if better else by_gyros[axis]) / ticks
+        self._hidden = (hidden[0] + hidden[1]) / (2.0 * _WALK * _WALK * self._dt)
+        self._errors.follow(value, angles, lined)
+        return better
 
     cdef void turn_upright(self, double* R) noexcept:
         """Turn an attitude of the autopilot to the vertical of the navigation."""
@@ -721,7 +801,9 @@ cdef class StrapdownCore:
         cdef bint lacks = sensed[15] != 0.0, stands = self.rests(), due, news
         if not self._navigation._begun and (lacks or fix[5] != 0.0):
             return
-        due = self._navigation.go_on(sensed, sensed + 3, sensed + 6, sensed + 16, lacks, sensed[19] != 0.0, motion)
+        due = self._navigation.go_on(
+            sensed, sensed + 3, sensed + 26, sensed + 6, sensed + 16, sensed + 20, sensed[19] != 0.0, motion
+        )
         self._navigation.differ(sensed + 6, self._apart)
         news = memcmp(fix, self._fix, sizeof(self._fix)) != 0
         # The first fix that moves is met as it comes, and with it the later ones, not the lines between them.
@@ -916,11 +998,9 @@ cdef class StrapdownCore:
         if self._baro:
             output[count], lacking[count] = self._first[_BARO], lacks[_BARO]
             count += 1
-        if lacks[_IMU]:
-            # The mean of an acceleration that is not known is nearer to zero than to two noisy ones at its ends.
-            acceleration[0] = 0.0
-        vertical.unknown |= lacks[_IMU] or lacking[0] and lacking[count - 1]
-        change = vertical.predict(acceleration[0], lacks[_IMU])
+        acceleration[0] *= self._down_share
+        change = vertical.predict(acceleration[0], self._down_hidden)
+        vertical.unknown |= lacking[0] and lacking[count - 1]
         for i in range(count):
             heights[i] = y[output[i]]
         vertical.meet(count, heights, lacking, correction)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ class Flight:
 
     def rows(self, rows: NDArray[np.intp]) -> Flight:
         """Return some of the samples, ascending; the observer restarts wherever one before it is left out."""
-        samples = _chosen(self.samples, rows)
+        samples = self.samples.rows(rows)
         restart = samples.restart.copy()
         restart[:1] = True
         restart[1:] |= np.diff(rows) != 1
@@ -165,10 +165,6 @@ def phase_reports(batch: Batch) -> list[tuple[int, Message]]:
         if columns.name in FlightPhase.interests:
             reports += [(int(index), one_message(columns, row)) for row, index in enumerate(columns.position)]
     return sorted(reports, key=lambda report: report[0])
-
-
-def _chosen(samples: Samples, rows: NDArray[np.intp]) -> Samples:
-    return Samples(**{column.name: getattr(samples, column.name)[rows] for column in fields(Samples)})
 
 
 def joined_flights(flights: Sequence[Flight]) -> Flight:
