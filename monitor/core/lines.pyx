@@ -26,9 +26,9 @@ from libc.string cimport memcpy, memset
 
 # Evidence of so many seconds is remembered. Chosen: some manoeuvres, of which the next may fall into a gap.
 cdef double _REMEMBERED_S = 60.0
-# What is assumed before anything was measured: errors of a velocity, m/s, of an angle by gyros and by the attitude, rad,
-# for a time in seconds to these powers. Measured on five flights of two autopilots (root of
-# the mean square in 0.08 s, the quietest and the briskest): 0.0015 to 0.09 m/s, 0.2 to 3.3 mrad, 0.2 to 0.4 mrad.
+# What is assumed before anything was measured: errors of a velocity, m/s, of an angle by gyros and by the attitude,
+# rad, for a time in seconds to these powers. Measured on five flights of two autopilots (root of the mean square in
+# 0.08 s, the quietest and the briskest): 0.0015 to 0.09 m/s, 0.2 to 3.3 mrad, 0.2 to 0.4 mrad.
 cdef double[3] _AT_FIRST = [1.0, 0.3, 0.03]
 cdef double[3] _POWER = [1.5, 1.5, 1.0]
 # Chosen: it counts as much as two spans, so that a chance first one does not pass for certainty.
