@@ -465,7 +465,8 @@ cdef class StrapdownCore:
                 self.restart()
             self.find_lacking(&raw[row, 0], &lost[row, 0], lacks)
             line_s = self._stills * self._dt
-            for i in range(6):
+            # Gyros that come too seldom to be integrated are compared as they come: a line hides nothing of them.
+            for i in range(0 if self._learned and not lacks[_IMU] else 6):
                 line_s = max(line_s, 1e-9 * lines[row, i])
             self._faint = self._mag and 1e-9 * lines[row, field] > _FIELD_LINE_S
             if self._faint:
