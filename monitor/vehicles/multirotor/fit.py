@@ -608,6 +608,7 @@ def _lines(
     for motor, command in watched.items():
         size, unit = smallest[motor]
         least = sudden[motor]
-        at_once = f", {size_text(least, unit, command)} where it comes at once" if 0.0 < least < size else ""
-        lines.append(f"{motor} alarm from {size_text(size, unit, command)}{at_once} (hovers at {command:.2f})")
+        from_size, at_once = size_text(size, unit, command), size_text(least, unit, command)
+        sooner = f", {at_once} where it comes at once" if 0.0 < least < size and at_once != from_size else ""
+        lines.append(f"{motor} alarm from {from_size}{sooner} (hovers at {command:.2f})")
     return tuple(lines)
