@@ -10,6 +10,11 @@ cdef enum:
     ERRORS = 9
 
 
+cdef inline double spread_between(double change) noexcept:
+    """Return the variance of what lies between two samples: their mean, give or take a quarter of their difference."""
+    return (1.0 / 48.0) * change * change
+
+
 cdef class LineErrors:
     cdef double _dt
     # Of the latest ticks: values of the signals, their integrals, and those of the attitude less the gyros'.
@@ -18,11 +23,11 @@ cdef class LineErrors:
     # Means of squares by span; of the acceleration down those of the line, of its product with the integral, of that.
     cdef double[SPANS][ERRORS] _variance
     cdef double[SPANS][3] _down
-    cdef int[SPANS] _count
+    cdef long long[SPANS] _count
     # Sums of what the attitude turned otherwise times the change of the rate, and of the square of that.
     cdef double[2] _early
     # The newest tick, and for how many ticks before it all was measured; -1: it was not itself.
-    cdef int _tick, _measured
+    cdef long long _tick, _measured
     cdef void restart(self) noexcept
     cdef void follow(self, const double* value, const double* turned, bint lined) noexcept
     cdef double change(self, int i, double value) noexcept

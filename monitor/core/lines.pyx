@@ -42,8 +42,6 @@ cdef int _EARLY_SPAN = 1
 cdef double _TURNS = 0.25
 # Power of T with which variances grow beyond the longest span: that of random walks.
 cdef double _BEYOND = 3.0
-# What lies between two samples is their mean, give or take a quarter of their difference: the variance of that.
-cdef double _BETWEEN = 1.0 / 48.0
 
 cdef enum:
     # Index of the acceleration down, of the first rate, and of the first error of the attitude.
@@ -135,7 +133,7 @@ cdef class LineErrors:
 
     cdef double steep(self, int i, double value, double ticks) noexcept:
         """Return the same where the line, whose next value this is, may be steeper than any measured one."""
-        return fmax(self.variance(i, ticks), _BETWEEN * (self.change(i, value) * ticks * ticks * self._dt) ** 2)
+        return fmax(self.variance(i, ticks), spread_between(self.change(i, value) * ticks * ticks * self._dt))
 
     cdef double down(self, double ticks, double* variance) noexcept:
         """Return the share of a line that the acceleration down is in the mean, and fill in the variance of the rest.

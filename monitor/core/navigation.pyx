@@ -47,6 +47,7 @@ In hover a tilt and a bias of an accelerometer cannot be told apart; what tells 
 
 from libc.math cimport INFINITY, atan2, cos, fabs, fmax, hypot, sin, sqrt
 from libc.string cimport memcmp, memcpy, memmove, memset
+from monitor.core.lines cimport spread_between
 
 from adapters.channels import STANDARD_GRAVITY
 
@@ -92,8 +93,6 @@ cdef double _BACK_S = 2.0
 cdef double _BACK_LEAST = 0.5 * _FIELD_LEAST
 # Share of the accelerations' peak that is left a step later. Chosen: .8 of .2 s forgets a hard stop within a second.
 cdef double _PEAK_KEPT = 0.8
-# What lies between two samples is their mean, give or take a quarter of their difference: the variance of that.
-cdef double _BETWEEN = 1.0 / 48.0
 # By how much a hypothesis has to be likelier than any other: 20 to 1.
 cdef double _MARGIN = 3.0
 # By how much less likely a ramp of the GPS's velocity is that goes the way of an accelerometer, before anything is
@@ -274,12 +273,12 @@ cdef class Navigation:
             self.advance(self._Q[k], 1, specific)
         for i in range(3):
             walk = along(self._R, between, i)
-            self._Q[i][i] += self.shaken(i, 0) + _BETWEEN * walk * walk
+            self._Q[i][i] += self.shaken(i, 0) + spread_between(walk)
             for j in range(3):
                 self._Q[i][i] += self._R[3 * i + j] ** 2 * hidden[3 + j]
         for i in range(2):
             change = 2.0 * (a[i] - specific[i]) * self._dt
-            self._Q[_V + i][_V + i] += self.shaken(i, 3) + _BETWEEN * change * change + hidden[i]
+            self._Q[_V + i][_V + i] += self.shaken(i, 3) + spread_between(change) + hidden[i]
             self._Q[_BA + i][_BA + i] += _WALK[3] * _WALK[3] * self._dt
         for i in range(3):
             self._Q[_BG + i][_BG + i] += _WALK[2] * _WALK[2] * self._dt
