@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import argparse
 import errno
-import functools
 import importlib
 import os
 import sys
@@ -194,7 +193,6 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-@functools.cache
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
     parser = _Parser(prog="fauio", usage="fauio [-h] [--version] COMMAND ...", description=_DESCRIPTION)

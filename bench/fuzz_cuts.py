@@ -72,7 +72,11 @@ def _bits(outputs: Sequence[Any]) -> dict[str, list[bytes]]:
             found.setdefault(output.observer, []).append(output)
     return {
         observer: [
-            *(_joined([getattr(one.samples, column.name) for one in many]) for column in fields(many[0].samples)),
+            *(
+                _joined([getattr(one.samples, column.name) for one in many])
+                for column in fields(many[0].samples)
+                if getattr(many[0].samples, column.name) is not None
+            ),
             *(_joined([getattr(one, name) for one in many]) for name in _COLUMNS),
         ]
         for observer, many in found.items()

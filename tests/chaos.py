@@ -56,7 +56,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent / "tools"))
 
 from fleet_sender import Due, fleet_packets, read_flight, send_fleet
-from packet_edit import checksummed, signed
+from packet_edit import checksummed, packet_fields, set_back, signed, stamp_ns_of, with_fields
 from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.mavlink.mavlink_message import message_number
@@ -67,8 +67,6 @@ KEY = SigningKey(bytes(range(32)))
 FORGER = SigningKey(bytes(32))
 
 _SECOND_NS = 1_000_000_000
-_HEAD = 10
-_STAMPS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000}
 _LARGEST_STAMP = (1 << 48) - 1
 _ATTITUDE = 30
 
@@ -105,7 +103,7 @@ def fall_silent(packets: Sequence[Due], from_s: float, for_s: float) -> list[Due
 
 def set_clock_back(packets: Sequence[Due], at_s: float, by_s: float) -> list[Due]:
     """Set the vehicle's clock back while it goes on otherwise."""
-    return [(due, _shifted(packet, round(by_s * 1e9)) if due >= at_s * 1e9 else packet) for due, packet in packets]
+    return [(due, set_back(packet, round(by_s * 1e9)) if due >= at_s * 1e9 else packet) for due, packet in packets]
 
 
 def reboot(packets: Sequence[Due], at_s: float, boot_s: float = 0.5) -> list[Due]:
@@ -141,7 +139,7 @@ def babble(packets: Sequence[Due], rng: random.Random, share: float = 0.1) -> li
 def poison(packets: Sequence[Due], rng: random.Random, share: float = 0.05) -> list[Due]:
     """Put NaN and infinities into a field of some packets, whose checksums are right."""
     return [
-        (due, _with_fields(packet, _poison_for(packet, rng)) if rng.random() < share else packet)
+        (due, with_fields(packet, _poison_for(packet, rng)) if rng.random() < share else packet)
         for due, packet in packets
     ]
 
@@ -161,7 +159,7 @@ def forge(packets: Sequence[Due], rng: random.Random, start_ns: int, share: floa
     own = sign(packets, start_ns)
     for place, (due, packet) in enumerate(own):
         if rng.random() < share and message_number(packet) == _ATTITUDE:
-            wild = _with_fields(packets[place][1], {"rollspeed": rng.uniform(-9.0, 9.0)})
+            wild = with_fields(packets[place][1], {"rollspeed": rng.uniform(-9.0, 9.0)})
             out.append((due, signed(wild, FORGER, _LARGEST_STAMP)))
         if rng.random() < share and place >= 2000:
             out.append((due, own[place - 2000][1]))
@@ -169,41 +167,8 @@ def forge(packets: Sequence[Due], rng: random.Random, start_ns: int, share: floa
     return out
 
 
-def stamp_ns_of(packet: bytes) -> int | None:
-    """Return the measurement's time in a packet on the vehicle's clock, nanoseconds; None where there is none."""
-    fields = _fields(packet)
-    return next((fields[name] * unit for name, unit in _STAMPS_NS.items() if fields.get(name)), None)
-
-
-def _fields(packet: bytes) -> dict[str, Any]:
-    table = ardupilotmega.mavlink_map[message_number(packet)]
-    if any(length > 1 for length in table.array_lengths):
-        return {}
-    payload = packet[_HEAD : _HEAD + packet[1]].ljust(table.unpacker.size, b"\0")
-    return dict(zip(table.ordered_fieldnames, table.unpacker.unpack(payload), strict=True))
-
-
-def _with_fields(packet: bytes, changes: Mapping[str, Any]) -> bytes:
-    """Return a packet of MAVLink 2 with other values, zeros at its end cut off as the protocol demands."""
-    if not changes:
-        return packet
-    table = ardupilotmega.mavlink_map[message_number(packet)]
-    values = _fields(packet) | changes
-    payload = table.unpacker.pack(*(values[name] for name in table.ordered_fieldnames))
-    payload = payload.rstrip(b"\0") or b"\0"
-    return checksummed(packet[:1] + bytes([len(payload)]) + packet[2:_HEAD] + payload + b"\0\0")
-
-
-def _shifted(packet: bytes, back_ns: int) -> bytes:
-    fields = _fields(packet)
-    return _with_fields(
-        packet,
-        {name: max(0, fields[name] - back_ns // unit_ns) for name, unit_ns in _STAMPS_NS.items() if fields.get(name)},
-    )
-
-
 def _poison_for(packet: bytes, rng: random.Random) -> dict[str, float]:
-    floats = [name for name, value in _fields(packet).items() if isinstance(value, float)]
+    floats = [name for name, value in packet_fields(packet).items() if isinstance(value, float)]
     return {rng.choice(floats): rng.choice((math.nan, math.inf, -math.inf))} if floats else {}
 
 
@@ -251,7 +216,7 @@ def insert(
         newest, due_ns, sent = None, round(ATTACK_S * 1e9), 0
         for due, packet in packets:
             while newest is not None and due >= due_ns:
-                false = _with_fields(newest, changes(_fields(newest)))
+                false = with_fields(newest, changes(packet_fields(newest)))
                 if own:
                     false = checksummed(false[:4] + bytes([sent % 256]) + false[5:])
                 made.append((due_ns, false))
@@ -274,9 +239,9 @@ def alter(name: str, changes: Callable[[Mapping[str, Any], Mapping[str, Any]], M
             if due < ATTACK_S * 1e9 or message_number(packet) != number:
                 made.append((due, packet))
                 continue
-            said = _fields(packet)
+            said = packet_fields(packet)
             first = first or said
-            made.append((due, _with_fields(packet, changes(said, first))))
+            made.append((due, with_fields(packet, changes(said, first))))
         return made
 
     return altered
@@ -293,7 +258,7 @@ def _number(name: str) -> int:
 
 def second_vehicle(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
     """Let another vehicle send under the same id, which was switched on 30 s later."""
-    others = [(due + 3_000_000, _shifted(packet, 30 * _SECOND_NS)) for due, packet in packets if due >= ATTACK_S * 1e9]
+    others = [(due + 3_000_000, set_back(packet, 30 * _SECOND_NS)) for due, packet in packets if due >= ATTACK_S * 1e9]
     return list(merge(packets, others, key=lambda one: one[0]))
 
 

@@ -135,7 +135,7 @@ def test_a_full_disk_ends_it_with_a_line_and_what_was_recorded_stands(data: Path
     with Flight(data / "copter_healthy_square.tlog.xz", [port], 0.0):
         status, said = recording.end()
     assert (status, said) == (2, "")
-    assert f"fauio: {out}: File too large; what came until a second before is in it" in recording.log.read_text()
+    assert f"fauio: {out}: File too large; telemetry up to a second before is in it" in recording.log.read_text()
     messages = list(read_recording(out))
     assert (messages[-1].received_ns - messages[0].received_ns) / 1e9 > 0.5
 
@@ -199,5 +199,5 @@ def test_a_recording_to_which_nothing_came_is_not_left_behind(tmp_path: Path) ->
     out = tmp_path / "monday.mcap"
     recording = Recording(out, "--mavlink", "udpin:127.0.0.1:0")
     assert recording.end(signal.SIGTERM) == (2, "")
-    assert "not made, nothing came over udpin:127.0.0.1:0" in recording.log.read_text()
+    assert "not written: nothing was received over udpin:127.0.0.1:0" in recording.log.read_text()
     assert not out.exists()

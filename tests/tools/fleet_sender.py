@@ -2,8 +2,8 @@
 
     python tests/tools/fleet_sender.py udp:HOST:PORT 1=FLIGHT 2=FLIGHT ... [--seconds S] [--key FILE]
 
-A log that has ended begins anew, like a vehicle that was switched off and on: its clock starts again. Each vehicle has
-a socket of its own, as vehicles do. At the end the number of packets sent for each is printed as JSON.
+A log that has ended begins anew, like a vehicle that was switched off and on: in each turn its clock starts at zero.
+Each vehicle has a socket of its own, as vehicles do. At the end the number of packets sent for each is printed as JSON.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from packet_edit import readdressed, signed
+from packet_edit import readdressed, set_back, signed, stamp_ns_of
 
 from adapters.errors import FauioError, TelemetryError
 from adapters.logs.tlog import TlogReader
@@ -38,6 +38,9 @@ _PAUSE_NS = 10_000_000
 """Between the end of a flight and its next turn: a sample of 100 Hz."""
 _CATCH_UP_S = 0.5
 """A sender that was stopped for longer goes on in real time, in place of a burst that no vehicle sends."""
+_BOOT_NS = 500_000_000
+"""What the clock of a vehicle that has just been switched on shows. A clock that went back to another time in flight would
+be taken for another sender's."""
 
 Due = tuple[int, bytes]
 
@@ -119,11 +122,18 @@ def fleet_packets(
 
 def _repeated(flight: SentFlight, seconds: float | None) -> Iterator[tuple[int, tuple[int, bytes]]]:
     loop_ns = flight.packets[-1][0] + _PAUSE_NS
+    packets = flight.packets if seconds is None else _switched_on(flight.packets)
     for loop in itertools.count() if seconds is not None else (0,):
-        for due_ns, packet in flight.packets:
+        for due_ns, packet in packets:
             if seconds is not None and loop * loop_ns + due_ns >= seconds * 1e9:
                 return
             yield loop * loop_ns + due_ns, (flight.system, packet)
+
+
+def _switched_on(packets: Sequence[Due]) -> Sequence[Due]:
+    """Return the packets as of a vehicle that was switched on just before the first of them."""
+    first_ns = next((stamp for _, packet in packets if (stamp := stamp_ns_of(packet)) is not None), _BOOT_NS)
+    return [(due_ns, set_back(packet, first_ns - _BOOT_NS)) for due_ns, packet in packets]
 
 
 class Signer:

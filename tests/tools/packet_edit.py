@@ -1,6 +1,11 @@
-"""MAVLink packets under another sender, sequence number or signature, their checksum made right again."""
+"""MAVLink packets with another sender, sequence number, signature, time or values, their checksum made right again."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.errors import TelemetryError
 from adapters.mavlink.mavlink_message import MAGIC_2, mavlink_types, message_number
@@ -10,6 +15,7 @@ _HEAD_1, _HEAD_2 = 6, 10
 """Bytes of the header in MAVLink 1 and 2."""
 _SIGNED = 1
 """MAVLINK_IFLAG_SIGNED."""
+_STAMPS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000}
 
 
 def readdressed(packet: bytes, system: int, sequence: int) -> bytes:
@@ -75,3 +81,38 @@ def signed(packet: bytes, key: SigningKey, stamp: int, link: int = 0) -> bytes:
     body = checksummed(packet[:2] + bytes([packet[2] | _SIGNED]) + packet[3:])
     body += bytes([link]) + stamp.to_bytes(6, "little")
     return body + key.signature(body)
+
+
+def stamp_ns_of(packet: bytes) -> int | None:
+    """Return the measurement's time in a packet on the vehicle's clock, nanoseconds; None where there is none."""
+    fields = packet_fields(packet)
+    return next((fields[name] * unit for name, unit in _STAMPS_NS.items() if fields.get(name)), None)
+
+
+def packet_fields(packet: bytes) -> dict[str, Any]:
+    """Return the values of a packet of MAVLink 2 by name; none where some are arrays."""
+    table = ardupilotmega.mavlink_map[message_number(packet)]
+    if any(length > 1 for length in table.array_lengths):
+        return {}
+    payload = packet[_HEAD_2 : _HEAD_2 + packet[1]].ljust(table.unpacker.size, b"\0")
+    return dict(zip(table.ordered_fieldnames, table.unpacker.unpack(payload), strict=True))
+
+
+def with_fields(packet: bytes, changes: Mapping[str, Any]) -> bytes:
+    """Return a packet of MAVLink 2 with other values, zeros at its end cut off as the protocol demands."""
+    if not changes:
+        return packet
+    table = ardupilotmega.mavlink_map[message_number(packet)]
+    values = packet_fields(packet) | changes
+    payload = table.unpacker.pack(*(values[name] for name in table.ordered_fieldnames))
+    payload = payload.rstrip(b"\0") or b"\0"
+    return checksummed(packet[:1] + bytes([len(payload)]) + packet[2:_HEAD_2] + payload + b"\0\0")
+
+
+def set_back(packet: bytes, back_ns: int) -> bytes:
+    """Return a packet with its stamps on the vehicle's clock set back, zero at the least."""
+    fields = packet_fields(packet)
+    return with_fields(
+        packet,
+        {name: max(0, fields[name] - back_ns // unit_ns) for name, unit_ns in _STAMPS_NS.items() if fields.get(name)},
+    )
