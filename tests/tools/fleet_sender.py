@@ -39,8 +39,7 @@ _PAUSE_NS = 10_000_000
 _CATCH_UP_S = 0.5
 """A sender that was stopped for longer goes on in real time, in place of a burst that no vehicle sends."""
 _BOOT_NS = 500_000_000
-"""What the clock of a vehicle that has just been switched on shows. A clock that went back to another time in flight would
-be taken for another sender's."""
+"""What the clock of a vehicle shows that has just been switched on; in flight any other step back is no reboot."""
 
 Due = tuple[int, bytes]
 
