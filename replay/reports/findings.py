@@ -146,7 +146,8 @@ def _finding(
     deviation = _median(trace.sd[inside, index]) if effect is None else None
     relative, message = None, largest.message
     if size is not None:
-        near = min(active, key=lambda event: abs((event.estimate or 0.0) - size))
+        # A raise knows the size of a few samples, later events know it better.
+        near = min(active[1:] or active, key=lambda event: abs((event.estimate or 0.0) - size))
         shares = [event.relative for event in active if event.relative is not None]
         if effect is not None:
             # the estimate follows the command, the lost effect does not
