@@ -162,7 +162,7 @@ def heavier(flight: list[Segment], begin: float, end: float) -> list[Segment]:
     ("begin", "end", "says"),
     [
         (0.15, 0.15, "commands 15 % more thrust ("),
-        pytest.param(0.0, 0.25, "commands 24 % more thrust at its end than at its begin (", marks=pytest.mark.long),
+        pytest.param(0.0, 0.25, "commands 25 % more thrust at its end than at its begin (", marks=pytest.mark.long),
         (0.15, -0.1, "commands 25 % less thrust at its end than at its begin ("),
     ],
 )
