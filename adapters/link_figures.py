@@ -23,6 +23,9 @@ from adapters.channels import CLOCK_UNITS_NS
 _MINUTE_NS = 60_000_000_000
 _MOST_BATCHES = 1024
 """Batches that wait to be looked at, the oldest giving way. Chosen: 20 s of those of a live link, 20 ms each."""
+_LOOK_NS = 5_000_000_000
+"""Time of arrival after which a live link's new messages are looked at. Chosen: a twelfth of the minute that figures
+cover; a look takes some 3 ms for a dozen kinds of message, however few there are of each."""
 _BROKEN_NS = 10_000_000_000
 """Step of stamps that is no loss but a pause or another clock: where the vehicle's clock starts anew, too."""
 _LOST = 1.75
@@ -111,6 +114,7 @@ class LinkMeter:
         self._streams: dict[tuple[str, int, int], _Stream] = {}
         self._sums: deque[tuple[int, _Sums]] = deque()
         self._numbered: deque[tuple[int, int, int]] = deque()
+        self._looked_ns = 0
 
     def count(self, batch: Batch) -> None:
         """Take a batch, from any thread."""
@@ -121,7 +125,8 @@ class LinkMeter:
 
     def figures(self, received: int = 0, lost: int | None = None) -> LinkFigures:
         """Return the figures; ``received`` packets and ``lost`` ones so far where they are numbered."""
-        self._look()
+        if self._waiting and abs(_newest_ns(self._waiting[-1]) - self._looked_ns) >= _LOOK_NS:
+            self._look()
         total = _total(sums for _, sums in self._sums)
         share = total.lost / (total.lost + total.came) if total.came else None
         if lost is not None:
@@ -139,6 +144,7 @@ class LinkMeter:
         )
 
     def _look(self) -> None:
+        self._looked_ns = _newest_ns(self._waiting[-1]) if self._waiting else 0
         newest_ns, sums = 0, []
         for columns in joined([self._waiting.popleft() for _ in range(len(self._waiting))]).columns:
             stamps = None if columns.source.is_onboard_log else _stamps(columns)
@@ -156,6 +162,10 @@ class LinkMeter:
             self._sums = deque([(0, _total(sums for _, sums in self._sums))])
         while self._recent and self._sums and self._sums[0][0] < self._sums[-1][0] - _MINUTE_NS:
             self._sums.popleft()
+
+
+def _newest_ns(batch: Batch) -> int:
+    return max((int(columns.received_ns[-1]) for columns in batch.columns), default=0)
 
 
 def _stamps(columns: Columns) -> NDArray[np.int64] | None:
