@@ -1,22 +1,25 @@
-"""Observers that compare measurements with what is expected of them: their plant, bare profile and alarms."""
+"""Observers that compare measurements with what a transform expects of them: their plant, design and alarms."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from adapters.errors import ModelError
 from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant
+from gains.synthesis.blocks import design_blocks
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.design import Design
 from monitor.estimation.isolation_rule import IndependentRule
 from monitor.fitting.fitted import Fitted, bare_rule
-from monitor.fitting.flights import Flight
-from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated, Times, calibrated, healthy_levels
-from monitor.sampling.transform import SampleSource
+from monitor.fitting.flights import Flight, transformed
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
+from monitor.sampling.gate import GateRule
+from monitor.sampling.transform import SampleSource, TransformRule, make_transform
 
 _LEAST_S = 20.0
 """Evidence that is needed, seconds, as of the motors observer."""
@@ -29,7 +32,8 @@ class Expectation(NamedTuple):
     left: float  # its standard deviation from what is expected
     fault: str  # channel of the fault that it shows
     unit: str
-    error: float  # smallest size that matters
+    smallest: float  # size that is worth an alarm
+    critical: float
     rate: float  # units per second by which the fault may grow
     input: str | None = None  # input that the fault is a share of; None: it has a size of its own
 
@@ -38,6 +42,44 @@ def check_length(rows: int, rate_hz: float, what: str) -> None:
     """Raise ModelError where there is too little healthy flight with ``what`` to learn what is expected."""
     if rows < _LEAST_S * rate_hz:
         raise ModelError(f"only {rows / rate_hz:.0f} s of flight with {what}; {_LEAST_S:.0f} s are needed")
+
+
+def fit_expectations(
+    name: str,
+    source: SampleSource,
+    rate_hz: float,
+    raw: Sequence[Flight],
+    gate: GateRule,
+    expectations: Sequence[Expectation],
+    times: Times,
+    *,
+    B: FloatArray | None = None,
+    alarms_per_hour: float | None = None,
+    design: Callable[[Plant], Design] = design_blocks,
+) -> Fitted:
+    """Design the observer of a vehicle behind a transform, on healthy flights of raw signals, and calibrate its alarms.
+
+    It has the name of the transform's kind. Channels of one unit share a level: what one has not seen in healthy flight
+    another has. ``times`` say how long evidence has to last, ``B`` is that of :func:`expectation_plant`.
+    ``alarms_per_hour`` are the false alarms of each channel: None shares the observer's.
+    """
+    rule = source.transform or TransformRule("", rate_hz)
+    flights = [transformed(flight, make_transform(rule, rate_hz)) for flight in raw]
+    plant = expectation_plant(name, rate_hz, make_transform(rule, rate_hz).inputs, expectations, B)
+    designed = design(plant)
+    gains = compile_gains(plant, designed, certify(plant, designed))
+    flight_s = sum(len(flight.evidence) for flight in flights) / rate_hz
+    fitted = Fitted(rule.kind, (gains,), source, IndependentRule(1.0 / rate_hz), plant=plant, flight_s=flight_s)
+    evidence = healthy_evidence(fitted.profile(), gate, flights)
+    share = alarms_per_hour or FALSE_ALARMS_PER_HOUR / len(expectations)
+    alarms = []
+    for unit in dict.fromkeys(one.unit for one in expectations):
+        alike = [(gains.faults.index(one.fault), one) for one in expectations if one.unit == unit]
+        levels = healthy_levels([run[:, at] for at, _ in alike for run in evidence], rate_hz, share, times)
+        for _, one in alike:
+            bare = bare_rule(rule.kind, one.fault, "actuator", unit)
+            alarms.append(calibrated(bare, levels, 1.0, floor=one.smallest, critical=one.critical, times=times))
+    return replace(fitted, alarms=tuple(alarms))
 
 
 def expectation_plant(
@@ -65,41 +107,10 @@ def expectation_plant(
         B=identity if B is None else B,
         C=identity,
         faults=tuple(
-            Fault(one.fault, "actuator", column, one.rate, one.error, one.unit, input=one.input)
+            Fault(one.fault, "actuator", column, one.rate, one.smallest, one.unit, input=one.input)
             for one, column in columns
         ),
         disturbances=tuple(Disturbance(f"disturbance_{one.measured}", column, one.left) for one, column in columns),
         noises=tuple(Noise(f"noise_{one.measured}", column, one.left) for one, column in columns),
         state_errors=np.array([one.left for one in expectations]),
     )
-
-
-def bare_observer(
-    observer: str, plant: Plant, design: Design, source: SampleSource, flights: Sequence[Flight]
-) -> Fitted:
-    """Return an observer of such a plant that has no alarms yet, and its samples in healthy flights."""
-    gains = compile_gains(plant, design, certify(plant, design))
-    flight_s = sum(len(flight.evidence) for flight in flights) / gains.rate_hz
-    isolation = IndependentRule(1.0 / gains.rate_hz)
-    return Fitted(observer, (gains,), source, isolation, plant=plant, flight_s=flight_s)
-
-
-def pooled_alarms(
-    bare: Fitted,
-    evidence: Sequence[FloatArray],
-    channels: Sequence[str],
-    smallest: float,
-    critical: float,
-    times: Times,
-    alarms_per_hour: float = FALSE_ALARMS_PER_HOUR,
-) -> list[Calibrated]:
-    """Return the alarms of some channels, all at one level: what one has not seen in healthy flight another has.
-
-    ``evidence`` is that of all channels in healthy flight, ``smallest`` and ``critical`` the sizes that are worth an
-    alarm and critical.
-    """
-    rate_hz, units = bare.gains[0].rate_hz, dict(zip(bare.gains[0].faults, bare.gains[0].fault_units, strict=True))
-    places = [bare.gains[0].faults.index(name) for name in channels]
-    levels = healthy_levels([run[:, at] for at in places for run in evidence], rate_hz, alarms_per_hour, times)
-    rules = [bare_rule(bare.name, name, "actuator", units[name]) for name in channels]
-    return [calibrated(rule, levels, 1.0, floor=smallest, critical=critical, times=times) for rule in rules]

@@ -28,13 +28,12 @@ from numpy.typing import NDArray
 
 from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
-from gains.synthesis.convex import design_convex
 from monitor.alarms.alarm import RESISTANCE
 from monitor.core.lagged import LaggedMeans
-from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
+from monitor.fitting.expectation import Expectation, check_length, fit_expectations
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.fitting.flights import Flight, raw_flights, transformed
-from monitor.fitting.thresholds import Times, healthy_evidence, plain_only
+from monitor.fitting.thresholds import Times, plain_only
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters
 from monitor.sampling.transform import SampleSource, TransformRule
@@ -167,20 +166,18 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
         return None
     memory_s = parameters["memory_s"]
     source = SampleSource(transform=TransformRule(OBSERVER, rate_hz, parameters), signals=channels)
-    flights = _transformed(raw, parameters, rate_hz)
-    left = max(float(np.concatenate([flight.samples.y[flight.armed, 0] for flight in flights]).std()), _LEAST_LEFT)
-    expected = Expectation("resistance", left, OBSERVER, RESISTANCE, _SMALLEST, _FAULT_RATE, OBSERVER)
-    # of the inputs the first is the usual resistance; the others are for the alarm's sentence
-    plant = expectation_plant(request.name, rate_hz, BatteryInputs.inputs, [expected], np.eye(1, 4))
-    bare = bare_observer(OBSERVER, plant, design_convex(plant), source, flights)
-    evidence = healthy_evidence(bare.profile(), gate, flights)
+    shares = [flight.samples.y[flight.armed, 0] for flight in _transformed(raw, parameters, rate_hz)]
+    left = max(float(np.concatenate(shares).std()), _LEAST_LEFT)
+    expected = Expectation("resistance", left, OBSERVER, RESISTANCE, _SMALLEST, _CRITICAL, _FAULT_RATE, OBSERVER)
     raise_s = max(_RAISE * memory_s, 3.0 / rate_hz)
     times = Times(fast_s=raise_s, raise_s=raise_s, slow_s=_SLOW * memory_s, clear_s=raise_s)
+    # of the inputs the first is the usual resistance; the others are for the alarm's sentence
+    fitted = fit_expectations(request.name, source, rate_hz, raw, gate, [expected], times, B=np.eye(1, 4))
     # a resistance is a mean itself: the path of means would name half of what matters
-    alarm = plain_only(*pooled_alarms(bare, evidence, [OBSERVER], _SMALLEST, _CRITICAL, times))
+    alarm = plain_only(*fitted.alarms)
     charge = "" if not parameters["charge"] else f", {parameters['charge'] / 3600.0:.1f} Ah when full"
     return replace(
-        bare,
+        fitted,
         alarms=(alarm,),
         findings={"rate_hz": rate_hz, "ohm": parameters["ohm"], "charge_as": parameters["charge"]},
         lines=(

@@ -20,20 +20,19 @@ import numpy as np
 
 from adapters.channels import Channel
 from adapters.errors import ModelError
-from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.blocks import design_blocks
+from gains.plants.plant import FloatArray
 from monitor.alarms.alarm import CURRENT, SPEED
 from monitor.alarms.excuse import ExcuseRule
-from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
+from monitor.fitting.expectation import Expectation, check_length, fit_expectations
 from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.flights import Flight, raw_flights, transformed
+from monitor.fitting.flights import Flight, raw_flights
 from monitor.fitting.survey import fitted_rates
-from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated, Times, healthy_evidence
+from monitor.fitting.thresholds import Calibrated, Times
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.signals import multirotor_channels
 from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds, rounded
-from monitor.vehicles.multirotor.transform import TERMS, EscInputs, HeldMeans, deviation, terms
+from monitor.vehicles.multirotor.transform import TERMS, HeldMeans, deviation, terms
 
 OBSERVER = "esc"
 
@@ -193,14 +192,17 @@ def _designed(
     kept = [*range(2 * s), *(range(2 * s, 3 * s) if len(found.names) > s else ())]
     kept += range(3 * s, 4 * s) if found.volts else ()
     rule = TransformRule(OBSERVER, signal_hz, found.parameters())
-    flights = [transformed(_chosen(flight, kept), EscInputs(rule.parameters, signal_hz, rate_hz)) for flight in raw]
-    plant = esc_plant(found, name, rate_hz)
     source = replace(source, transform=rule, signals=tuple(source.signals[at] for at in kept))
-    bare = bare_observer(OBSERVER, plant, design_blocks(plant), source, flights)
-    alarms = _alarms(bare, healthy_evidence(bare.profile(), gate, flights), _times(rate_hz))
+    chosen = [_chosen(flight, kept) for flight in raw]
+    speed, current = (SPEED, _SMALLEST_SPEED, _CRITICAL_SPEED), (CURRENT, _SMALLEST_CURRENT, _CRITICAL_CURRENT)
+    faults = [(f"esc{n}", *speed) for n in found.numbers] + [(f"motor{n}", *current) for n in found.numbers]
+    expectations = [
+        Expectation(measured, left, *fault, _FAULT_RATE, fault[0])
+        for measured, left, fault in zip(found.names, found.curves.left.tolist(), faults, strict=False)
+    ]
+    fitted = fit_expectations(name, source, rate_hz, chosen, gate, expectations, _times(rate_hz))
     return replace(
-        bare,
-        alarms=tuple(alarms),
+        fitted,
         findings={
             "rate_hz": rate_hz,
             "delay_s": found.delay_s,
@@ -208,25 +210,13 @@ def _designed(
             "controllers": {channel.name: _place(channel) for channel in signals.speed},
             "left": dict(zip(found.names, found.curves.left.tolist(), strict=True)),
         },
-        lines=_lines(found, signals, alarms, rate_hz),
+        lines=_lines(found, signals, fitted.alarms, rate_hz),
         excuses=tuple(
             ExcuseRule((f"motor{n}",), (f"{part}{n}",), _EXCUSED_S, same_cause=True)
             for n in found.numbers
             for part in ("esc", "prop")
         ),
     )
-
-
-def esc_plant(found: _Identified, name: str, rate_hz: float) -> Plant:
-    """Return the plant behind the transform, of speeds and of currents where they are measured."""
-    speeds, currents = (SPEED, _SMALLEST_SPEED), (CURRENT, _SMALLEST_CURRENT)
-    faults = [(f"esc{n}", *speeds) for n in found.numbers] + [(f"motor{n}", *currents) for n in found.numbers]
-    measured = list(zip(found.names, found.curves.left.tolist(), faults, strict=False))
-    expectations = [
-        Expectation(name, left, fault, unit, smallest, _FAULT_RATE, fault)
-        for name, left, (fault, unit, smallest) in measured
-    ]
-    return expectation_plant(name, rate_hz, [one.fault for one in expectations], expectations)
 
 
 def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: float, rate_hz: float) -> _Identified:
@@ -324,18 +314,6 @@ def _times(rate_hz: float) -> Times:
         slow_s=max(usual.slow_s, 10 * tick_s),
         clear_s=max(usual.clear_s, 3 * tick_s),
     )
-
-
-def _alarms(bare: Fitted, evidence: Sequence[FloatArray], times: Times) -> list[Calibrated]:
-    """Return the alarms, those of all motors at one level."""
-    channels = bare.gains[0].faults
-    alarms: list[Calibrated] = []
-    share = FALSE_ALARMS_PER_HOUR / len(channels)
-    speeds, currents = (_SMALLEST_SPEED, _CRITICAL_SPEED), (_SMALLEST_CURRENT, _CRITICAL_CURRENT)
-    for kind, (smallest, critical) in (("esc", speeds), ("motor", currents)):
-        if own := [name for name in channels if name.startswith(kind)]:
-            alarms += pooled_alarms(bare, evidence, own, smallest, critical, times, share)
-    return alarms
 
 
 def _lines(found: _Identified, signals: EscSignals, alarms: Sequence[Calibrated], rate_hz: float) -> tuple[str, ...]:

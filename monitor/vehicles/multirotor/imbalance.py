@@ -34,15 +34,14 @@ from numpy.typing import NDArray
 from adapters.channels import Channel
 from adapters.errors import ModelError, TelemetryError
 from adapters.sample import Given, Samples
-from gains.synthesis.blocks import design_blocks
 from monitor.alarms.alarm import LOG_TIMES
 from monitor.alarms.excuse import ExcuseRule
 from monitor.core.lagged import LaggedMeans, cosines, sines
-from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
+from monitor.fitting.expectation import Expectation, check_length, fit_expectations
 from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.flights import Flight, raw_flights, transformed
+from monitor.fitting.flights import Flight, raw_flights
 from monitor.fitting.survey import IMUS, least_hz
-from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, healthy_evidence
+from monitor.fitting.thresholds import Times
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters, raw_per_sample
 from monitor.sampling.transform import SampleSource, TransformRule
@@ -117,7 +116,7 @@ class ImbalanceInputs:
         self._c = np.array([[parameters[f"c{n}_{term}"] for n in numbers] for term in (0, 1)])
         self._least = parameters["least"]
         self._lines = Lines(len(numbers), signal_rate_hz, raw_per_sample("imbalance", signal_rate_hz, rate_hz))
-        self._later = OneTickLater()
+        self._later = OneTickLater(slice(None))
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw samples complete; one marked ``restart`` forgets the lines."""
@@ -130,9 +129,6 @@ class ImbalanceInputs:
         wrong = ~(np.isfinite(expected) & np.isfinite(measured)).all(axis=1, keepdims=True)
         expected, measured = np.where(wrong, 0.0, expected), np.where(wrong, 0.0, measured)
         later = self._later.run(replace(found, u=expected, y=measured, lost=found.lost | wrong))
-        if len(later):
-            # less than expected is no fault
-            later.y[:] = np.maximum(later.y, self._later.u)
         return Given(later, given.rows)
 
 
@@ -229,26 +225,20 @@ def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
     numbers = [int(channel.name.removeprefix("rpm")) for channel in signals.speed]
     parameters, left = _learned(raw, numbers, signals.hover, signal_hz, rate_hz)
     source = SampleSource(transform=TransformRule(OBSERVER, signal_hz, parameters), signals=channels)
-    flights = [transformed(flight, ImbalanceInputs(parameters, signal_hz, rate_hz)) for flight in raw]
     faults = [f"prop{n}_imbalance" for n in numbers]
     expectations = [
-        Expectation(f"line{n}", left, fault, LOG_TIMES, _SMALLEST, _FAULT_RATE)
+        Expectation(f"line{n}", left, fault, LOG_TIMES, _SMALLEST, _CRITICAL, _FAULT_RATE)
         for n, fault in zip(numbers, faults, strict=True)
     ]
-    plant = expectation_plant(request.name, rate_hz, faults, expectations)
-    bare = bare_observer(OBSERVER, plant, design_blocks(plant), source, flights)
-    evidence = healthy_evidence(bare.profile(), gate, flights)
-    share = FALSE_ALARMS_PER_HOUR / len(numbers)
-    alarms = pooled_alarms(bare, evidence, faults, _SMALLEST, _CRITICAL, _TIMES, share)
+    fitted = fit_expectations(request.name, source, rate_hz, raw, gate, expectations, _TIMES)
     usual = ", ".join(f"prop{n} {math.exp(parameters[f'c{n}_0']):.2g} m/s^2" for n in numbers)
     return replace(
-        bare,
-        alarms=tuple(alarms),
-        excuses=(ExcuseRule((SHAKING,), plant.inputs, _EXCUSED_S, same_cause=True),),
+        fitted,
+        excuses=(ExcuseRule((SHAKING,), tuple(faults), _EXCUSED_S, same_cause=True),),
         findings={"rate_hz": rate_hz, "left": left, "signal_hz": signal_hz},
         lines=(
             f"once per turn, by {message} at {signal_hz:g} Hz, in hover: {usual}; within a factor of "
-            f"{math.exp(left):.2f}; alarms from {math.exp(alarms[0].rule.threshold):.1f} times on",
+            f"{math.exp(left):.2f}; alarms from {math.exp(fitted.alarms[0].rule.threshold):.1f} times on",
         ),
     )
 

@@ -73,12 +73,12 @@ class HeldMeans:
 class OneTickLater:
     """Puts measurements one tick later, to what a plant that takes a tick makes of expectations.
 
-    ``u`` is what the measurements that were returned last belong to.
+    In columns of ``at_least`` less than was expected is no fault, and counts as that.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, at_least: slice) -> None:
+        self._at_least = at_least
         self._before: Samples | None = None
-        self.u = np.empty((0, 0))
 
     def run(self, samples: Samples) -> Samples:
         """Return the samples with the measurements of the tick before, of the same tick at a restart."""
@@ -91,10 +91,14 @@ class OneTickLater:
             np.append(getattr(before, name), getattr(samples, name)[:-1]) for name in ("measured", "complete")
         )
         lost = np.vstack([before.lost, samples.lost[:-1]])
-        self.u = np.where(fresh[:, None], samples.u, np.vstack([before.u, samples.u[:-1]]))
+        u, y = (
+            np.where(fresh[:, None], now, np.vstack([then, now[:-1]]))
+            for then, now in ((before.u, samples.u), (before.y, samples.y))
+        )
+        y[:, self._at_least] = np.maximum(y[:, self._at_least], u[:, self._at_least])
         return replace(
             samples,
-            y=np.where(fresh[:, None], samples.y, np.vstack([before.y, samples.y[:-1]])),
+            y=y,
             lost=samples.lost | (lost & ~fresh[:, None]),
             measured=samples.measured & (measured | fresh),
             complete=samples.complete & (complete | fresh),
@@ -153,7 +157,7 @@ class EscInputs:
         self._volts, self._motors, self._raw = parameters["volts"], len(numbers), len(raw)
         timing = [(parameters["delay_s"], parameters["lag_s"])] * (2 + len(numbers))
         self._means = HeldMeans(timing, signal_rate_hz, size, 2 + len(curves), len(curves))
-        self._later = OneTickLater()
+        self._later = OneTickLater(slice(len(numbers), None))
         self._beyond = np.ones(1)
 
     def run(self, samples: Samples) -> Given:
@@ -175,8 +179,6 @@ class EscInputs:
         means = given.samples
         lost = means.lost[:, 2:] | (means.u[:, :1] < _KNOWN)
         later = self._later.run(replace(means, u=means.u[:, 2:], lost=lost))
-        if len(later):
-            later.y[:, self._motors :] = np.maximum(later.y[:, self._motors :], self._later.u[:, self._motors :])
         # a sample compares what was expected a tick before
         beyond = np.append(self._beyond, means.u[:, 1])
         self._beyond = beyond[-1:]

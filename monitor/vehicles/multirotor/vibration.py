@@ -24,11 +24,11 @@ from adapters.sample import Given, Samples
 from gains.synthesis.convex import design_convex
 from monitor.alarms.alarm import CLIPS, LOG_TIMES
 from monitor.core.lagged import LaggedMeans
-from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
+from monitor.fitting.expectation import Expectation, check_length, fit_expectations
 from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.flights import Flight, raw_flights, transformed
+from monitor.fitting.flights import Flight, raw_flights
 from monitor.fitting.survey import least_hz
-from monitor.fitting.thresholds import Times, healthy_evidence
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters, raw_per_sample
 from monitor.sampling.transform import SampleSource, TransformRule
@@ -91,7 +91,7 @@ class VibrationInputs:
         self._c = [parameters[f"c{term}"] for term in range(4)]
         self._means = LaggedMeans([(0.0, _LAG_S)], signal_rate_hz, size, 1, 2)
         self._rate_hz, self._counted = rate_hz, math.nan
-        self._later = OneTickLater()
+        self._later = OneTickLater(slice(1))
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw samples complete; one marked ``restart`` forgets lag and tick."""
@@ -101,11 +101,7 @@ class VibrationInputs:
             expected = self._c[0] + self._c[1] * causes[0] + self._c[2] * causes[1] + self._c[3] * causes[2]
             measured = np.log(np.maximum(level, self._least))
         given = self._means.run(samples, [expected, measured, counted], np.ones(len(samples), np.bool_))
-        later = self._later.run(self._clipped(given.samples))
-        if len(later):
-            # less than expected is no fault
-            later.y[:, 0] = np.maximum(later.y[:, 0], self._later.u[:, 0])
-        return Given(later, given.rows)
+        return Given(self._later.run(self._clipped(given.samples)), given.rows)
 
     def _clipped(self, samples: Samples) -> Samples:
         """Return samples with clips per second in place of their counter; a counter that begins anew counts nothing."""
@@ -164,22 +160,28 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
     raw = raw_flights(request.logs, channels, signal_hz, gate)
     parameters, left = _learned(raw, len(commands), signal_hz, rate_hz)
     source = SampleSource(transform=TransformRule(OBSERVER, signal_hz, parameters), signals=channels)
-    flights = [transformed(flight, VibrationInputs(parameters, signal_hz, rate_hz)) for flight in raw]
     expectations = (
-        Expectation("level", left, OBSERVER, LOG_TIMES, _SMALLEST, _FAULT_RATE),
-        Expectation("clips", 1.0, CLIPPING, CLIPS, _CLIPPED, _CLIPPED),
+        Expectation("level", left, OBSERVER, LOG_TIMES, _SMALLEST, _CRITICAL, _FAULT_RATE),
+        Expectation("clips", 1.0, CLIPPING, CLIPS, _CLIPPED, _CRITICALLY, _CLIPPED),
     )
-    # no clip is ever expected
-    plant = expectation_plant(request.name, rate_hz, VibrationInputs.inputs, expectations, np.eye(2, 1))
-    bare = bare_observer(OBSERVER, plant, design_convex(plant), source, flights)
-    evidence = healthy_evidence(bare.profile(), gate, flights)
     times = replace(_TIMES, raise_s=max(_TIMES.raise_s, 3.0 / rate_hz), fast_s=max(_TIMES.fast_s, 2.0 / rate_hz))
-    [alarm] = pooled_alarms(bare, evidence, [OBSERVER], _SMALLEST, _CRITICAL, times)
-    [clipping] = pooled_alarms(bare, evidence, [CLIPPING], _CLIPPED, _CRITICALLY, times)
+    fitted = fit_expectations(
+        request.name,
+        source,
+        rate_hz,
+        raw,
+        gate,
+        expectations,
+        times,
+        B=np.eye(2, 1),  # no clip is ever expected
+        alarms_per_hour=FALSE_ALARMS_PER_HOUR,  # of clips there are none in healthy flight
+        design=design_convex,
+    )
+    alarm, clipping = fitted.alarms
     # A slow mean asks for half the size, which of a logarithm is a factor of 1.7: a storm shakes a vehicle as much.
     alarm = replace(alarm, rule=replace(alarm.rule, slow=max(alarm.rule.slow, alarm.rule.threshold)))
     return replace(
-        bare,
+        fitted,
         alarms=(alarm, clipping),
         findings={"rate_hz": rate_hz, "left": left},
         lines=(

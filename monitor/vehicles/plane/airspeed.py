@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
-from gains.synthesis.convex import design_convex
 from monitor.alarms.excuse import ExcuseRule
 from monitor.core.airspeed import EXPONENT, LAPSE, AirspeedCore
-from monitor.fitting.expectation import Expectation, bare_observer, check_length, expectation_plant, pooled_alarms
+from monitor.fitting.expectation import Expectation, check_length, fit_expectations
 from monitor.fitting.fitted import FitRequest, Fitted
-from monitor.fitting.flights import Flight, raw_flights, transformed
-from monitor.fitting.thresholds import Times, healthy_evidence
+from monitor.fitting.flights import Flight, raw_flights
+from monitor.fitting.thresholds import Times
 from monitor.sampling.gate import GateRule
 from monitor.sampling.scaled import check_parameters, raw_per_sample
 from monitor.sampling.transform import LiftRule, SampleSource, TransformRule
@@ -111,17 +110,14 @@ def fit_airspeed(request: FitRequest, gate: GateRule) -> Fitted | None:
     parameters = _learned(raw, rate_hz)
     lift = LiftRule("wings") if any(survey.is_vtol for survey in surveys) else None
     source = SampleSource(transform=TransformRule(OBSERVER, rate_hz, parameters), signals=channels, lift=lift)
-    flights = [transformed(flight, AirspeedInputs(parameters, rate_hz, rate_hz)) for flight in raw]
     smallest, critical = (share * parameters["minimum_speed"] / _SLOWEST for share in (_SMALLEST, _CRITICAL))
-    expected = Expectation("airspeed", parameters["noise"], "airspeed", "m/s", smallest, _FAULT_RATE)
-    plant = expectation_plant(request.name, rate_hz, AirspeedInputs.inputs, [expected])
-    bare = bare_observer(OBSERVER, plant, design_convex(plant), source, flights)
-    evidence = healthy_evidence(bare.profile(), gate, flights)
-    [alarm] = pooled_alarms(bare, evidence, ["airspeed"], smallest, critical, _TIMES)
+    expected = Expectation("airspeed", parameters["noise"], "airspeed", "m/s", smallest, critical, _FAULT_RATE)
+    fitted = fit_expectations(request.name, source, rate_hz, raw, gate, [expected], _TIMES)
+    [alarm] = fitted.alarms
     alarm = replace(alarm, rule=replace(alarm.rule, kind="sensor"))
     sensors = [f"{name}_{axis}" for name in ("gps", "gps_velocity", "motion") for axis in ("north", "east")]
     return replace(
-        bare,
+        fitted,
         alarms=(alarm,),
         excuses=(
             ExcuseRule(SurfaceInputs.actuators, ("airspeed",), _EXCUSED_S, precedes=True),
