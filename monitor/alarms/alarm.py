@@ -1,29 +1,29 @@
-"""From a channel's evidence to alarm events: five paths to raise it, hysteresis, debounce by time, severity, latching.
+"""Turn the evidence of one channel into alarm events.
 
-Paths, each with its own size and time, whichever comes first:
+Five paths raise an alarm; hysteresis and a debounce by time clear it. Each path has its own size and time; the first
+that is satisfied raises the alarm:
 
-- sudden: a change of at least ``least``, or that grows to it within ``critical_ahead_s``, which is certain by a
-  log-likelihood ratio of ``nats`` at once, while no other alarm of the observer is active
+- sudden: a change of at least ``least`` whose log-likelihood ratio reaches ``nats``, or a growing change that will be
+  that large within ``critical_ahead_s``. It raises at once, unless another alarm of the observer is active
   (:mod:`monitor.estimation.changes`);
-- fast: evidence beyond ``fast`` for ``fast_s``, for large faults;
-- plain: evidence beyond ``threshold`` for ``raise_s``;
-- slow: the exponentially weighted mean over ``slow_s`` beyond ``slow``, for small and creeping faults; evidence enters
-  it with twice ``slow`` at most, so that it forgets a large fault as fast as a small one;
-- lasting: the mean of all evidence since it began, of ``lasting_s`` at least and up to that of a flight, beyond
-  ``lasting``, for what is smaller than peaks but does not end (:mod:`monitor.fitting.lasting`); evidence enters it with
-  ``threshold`` at most.
+- fast: evidence above ``fast`` for ``fast_s``, for large faults;
+- plain: evidence above ``threshold`` for ``raise_s``;
+- slow: the exponentially weighted mean over ``slow_s`` above ``slow``, for small and slowly growing faults. Evidence
+  enters this mean with at most twice ``slow``, so that the mean forgets a large fault as fast as a small one;
+- lasting: the mean of all evidence since it began (of ``lasting_s`` to a whole flight) above ``lasting``, for small
+  faults that do not end (:mod:`monitor.fitting.lasting`). Evidence enters this mean with at most ``threshold``.
 
-The alarm clears after the evidence was inside ``clear`` for ``clear_s``, and where only a mean has seen it the mean
-inside half of its size; where only the sudden path has seen it that time begins two seconds later, of what grows
-``critical_ahead_s`` after them.
-It is critical from the size ``critical`` on, and already where its growth leads there within ``critical_ahead_s``.
-One that is raised for the third time within ``latch_s`` comes and goes: it clears only after ``latch_s`` of quiet. The
-debounce is a clamped up/down counter of time, so evidence that drops out for a sample delays an alarm instead of losing
-it. Samples that are no evidence (not in flight, bridged across lost measurements) change nothing. An event carries the
-time at which its sample was known, so no event comes before its cause.
+The alarm clears after the evidence has been below ``clear`` for ``clear_s``. If only a mean has seen the fault, that
+mean has to be below half of its size. If only the sudden path has seen the fault, the time begins two seconds later,
+and for a growing change another ``critical_ahead_s`` later. The alarm is critical from the size ``critical`` on, or as
+soon as its growth leads there within ``critical_ahead_s``. An alarm that is raised for the third time within
+``latch_s`` comes and goes: it clears only after ``latch_s`` without evidence.
 
-The rule is compiled (:mod:`monitor.core.alarms`) and processes rows one after the other; here are its sizes and times,
-and the events that it causes.
+The debounce is a counter of time that counts up and down between limits: a sample without evidence delays an alarm and
+does not cancel it. Samples that are no evidence (not in flight, bridged across lost measurements) change nothing. An
+event carries the time at which its sample was known, so no event comes before its cause. The rule is compiled
+(:mod:`monitor.core.alarms`) and processes rows one after the other. This module has its sizes and times, and the events
+that it causes.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ DEFLECTION = "fraction of full deflection"
 """Unit of surfaces, steering and throttle."""
 
 SPEED, CURRENT, THRUST = (f"fraction of {what} at hover" for what in ("speed", "current", "thrust"))
-"""Units of what motors turn and draw, and propellers push."""
+"""Units of motor speed, of current, and of a propeller's thrust."""
 RESISTANCE = "fraction of usual resistance"
-"""Unit of how far a battery's voltage gives way to its current."""
+"""Unit of a battery's internal resistance."""
 LOG_TIMES = "natural logarithm of times"
-"""Unit of what is so many times as large as expected."""
+"""Unit of a quantity that is given relative to its expected value."""
 CLIPS = "samples/s"
-"""Unit of how often a sensor is at its end."""
+"""Unit of how often a sensor reaches the end of its range."""
 
 LASTING_S = 10.0
-"""Evidence that a mean of what lasts needs, seconds. Chosen: five times the slow path's, and the shortest flights known
-to be fitted (13 s, docs/leaderboard.md) hold one."""
+"""Shortest evidence for the mean of a lasting fault, seconds. Chosen: five times the slow path's, and the shortest
+flights known to be fitted (13 s, docs/leaderboard.md) are longer."""
 _LARGEST_LOG = 50.0
-"""Beyond it nothing is measured; the exponential of more is no number that people read."""
+"""Limit of a logarithmic size: no measurement is larger, and nobody reads the exponential of more."""
 _CHAIN = {
     SPEED: ("turns its motor", "slower", "faster", "commanded"),
     THRUST: ("pushes", "less", "more", "expected at its speed"),
@@ -69,7 +69,7 @@ _AXES = {"north": ("north", "south"), "east": ("east", "west"), "down": ("below"
 def alarm_message(
     observer: str, channel: str, kind: Kind, unit: str, state: State, size: float, relative: float | None
 ) -> str:
-    """Return the sentence about a fault of a signed size in ``unit``, or of a share of the command where it has one."""
+    """Return the sentence about a fault of a signed size in ``unit``, or of a share of the command."""
     if state == "cleared":
         return f"{channel} is back to normal"
     if kind == "residual":
@@ -102,7 +102,7 @@ def _percent(relative: float) -> str:
 
 
 def _sensor(channel: str, unit: str, size: float) -> str | None:
-    """Return the sentence for a sensor whose name the field knows, None for any other."""
+    """Return the sentence for a sensor with a known name, otherwise None."""
     name, _, axis = channel.rpartition("_")
     amount = size_text(abs(size), unit)
     if name == "gps":
@@ -121,7 +121,7 @@ def _sensor(channel: str, unit: str, size: float) -> str | None:
     if channel == "baro":
         return f"barometer reads {amount} too {'high' if size > 0 else 'low'}"
     if channel == "compass":
-        # the estimate counts turns on; nothing is further off than half of one
+        # The estimate of a heading may count whole turns; a compass is off by half a turn at most.
         off = math.remainder(size, math.tau)
         return f"compass is {size_text(abs(off), unit)} too far {'clockwise' if off > 0 else 'anticlockwise'}"
     if channel == "airspeed":
@@ -133,68 +133,70 @@ def _sensor(channel: str, unit: str, size: float) -> str | None:
 
 
 LEAST: Mapping[str, float] = {"slow_s": 0.01}
-"""A mean over one sample of a 100 Hz observer is none; a time constant of zero would divide by zero."""
+"""Shortest time constant of a mean: one sample of a 100 Hz observer. A time constant of zero would divide by zero."""
 _LARGEST = 1e300
-"""Twice as much is still a finite number, as the rule needs it."""
+"""Largest size: twice as much is still a finite number, which the rule needs."""
 LATELY_NS = 10_000_000_000
-"""An alarm that was raised no longer before another one may be its consequence. Chosen: what tells of a second sender
-is counted over as long."""
+"""An alarm that was raised at most this long before another one may be its consequence. Chosen: evidence of a second
+sender is counted over the same time."""
 _AFFECTED = "; affected: "
 _STATES: Mapping[int, State] = {RAISED: "raised", UPDATED: "updated", CLEARED: "cleared"}
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmRule:
-    """What makes one channel's alarm."""
+    """The rule of one channel's alarm."""
 
-    observer: str  # what it watches
+    observer: str  # the channel
     channel: str
-    kind: Kind  # sort of trouble
+    kind: Kind  # kind of alarm
     unit: str  # unit of the sizes
     threshold: float  # size of the evidence that raises the alarm, that clears it, and that makes it critical
     clear: float
     critical: float
-    # how long the evidence has to be beyond ``threshold`` to raise it, and inside ``clear`` to clear it, seconds
+    # how long the evidence has to be above ``threshold`` to raise it, and below ``clear`` to clear it, seconds
     raise_s: float
     clear_s: float
-    fast: float = math.inf  # size that raises it after a shorter time; infinite size: no such path
+    fast: float = math.inf  # size that raises it after a shorter time; infinite: no such path
     fast_s: float = 0.05
     """Five samples at 100 Hz: more than a glitch of two or three lost or damaged ones."""
-    slow: float = math.inf  # size of the mean that raises it, and the mean's time constant; infinite size: no such path
+    slow: float = math.inf  # size of the mean that raises it, and the mean's time constant; infinite: no such path
     slow_s: float = 2.0
     """Longer than a gust or a manoeuvre moves an estimate, shorter than a pilot would wait (docs/thresholds.md)."""
     lasting: float = math.inf  # size of the mean of all evidence that raises it; infinite: no such path
-    lasting_s: float = LASTING_S  # how much evidence such a mean needs, seconds
-    latch_s: float = 0.0  # quiet that an alarm which comes and goes needs before it clears; 0: never latched
-    # how far ahead its growth is looked at, for severity and where it grows from the start, seconds; 0: not at all
+    lasting_s: float = LASTING_S  # shortest evidence for such a mean, seconds
+    # time without evidence that an alarm which comes and goes needs before it clears; 0: never latched
+    latch_s: float = 0.0
+    # how far its growth is extrapolated, for the severity and for a fault that grows from its start, seconds; 0: not at
+    # all
     critical_ahead_s: float = 5.0
-    """Time that a pilot needs to land or to let go: chosen."""
-    # Log-likelihood ratio of a sudden change that raises it at once, and the smallest size it has to have; infinite
+    """Time that a pilot needs to land or to take over: chosen."""
+    # log-likelihood ratio of a sudden change that raises it at once, and the smallest size of such a change; infinite
     # nats: no such path
     nats: float = math.inf
     least: float = 0.0
-    smallest: float = 0.0  # a user's smallest size worth an alarm: no path asks for less
-    # size that evidence reaches in healthy flight, as rarely as false alarms are granted: where the residuals of a run
-    # are larger than those of the flights that were fitted, what is asked of it grows with this size
-    # (:mod:`monitor.estimation.bank`); 0: not at all
+    smallest: float = 0.0  # the user's smallest size worth an alarm: no path raises below it
+    # size that healthy evidence exceeds only at the granted rate of false alarms. If the residuals of a run are larger
+    # than those of the fitted flights, the sizes that raise the alarm grow by this size
+    # (:mod:`monitor.estimation.bank`); 0: they do not grow
     healthy: float = 0.0
-    # false alarms that are expected in 100 hours, and how many more the fitted flights exclude, at 95 %; None where
-    # that was not measured
+    # expected false alarms in 100 hours, and the rate above which the fitted flights exclude more, at 95 %; None: not
+    # measured
     false_per_100h: float | None = None
     excluded_per_100h: float | None = None
-    sees: str = ""  # what size of fault it sees how fast, for people; empty where that was not measured
+    sees: str = ""  # size of fault that it detects and how fast, for people; empty: not measured
 
 
 TUNABLE = tuple(key.name for key in fields(AlarmRule) if key.type == "float")
 """Keys of a rule that may change while the monitor runs."""
 MEASURED = ("false_per_100h", "excluded_per_100h")
-"""Keys of a rule that the fit measured of it as it is."""
+"""Keys of a rule that hold what the fit measured of exactly this rule."""
 
 
 def retuned(rule: AlarmRule, values: Mapping[str, object]) -> AlarmRule:
-    """Return a copy of the rule with valid tunable values applied; other values are ignored.
+    """Return a copy of the rule with the valid tunable values applied; other values are ignored.
 
-    What was measured of the rule as it was does not hold of another.
+    The figures that the fit measured are dropped, since they do not hold for the changed rule.
     """
     valid = {
         key: float(value)
@@ -208,16 +210,16 @@ def retuned(rule: AlarmRule, values: Mapping[str, object]) -> AlarmRule:
 
 
 def with_affected(message: str, channels: Sequence[str]) -> str:
-    """Return an alarm's sentence with the channels that show something because of the alarm's cause."""
+    """Return an alarm's sentence with the channels that are affected by the alarm's cause."""
     own = message.partition(_AFFECTED)[0]
     return f"{own}{_AFFECTED}{', '.join(channels)}" if channels else own
 
 
 class Alarm:
-    """One channel's alarm: its rule, its state and the events that it causes.
+    """One channel's alarm: its rule, its state and its events.
 
-    :meth:`set_rule` changes the rule; ``state`` is what it keeps from row to row, moved on by
-    :func:`monitor.core.alarms.walk`.
+    :meth:`set_rule` changes the rule. ``state`` is what the alarm remembers from row to row;
+    :func:`monitor.core.alarms.walk` updates it.
     """
 
     def __init__(self, rule: AlarmRule, vehicle: str) -> None:
@@ -235,7 +237,7 @@ class Alarm:
         self.state.set_rule(rule)
 
     def adopt(self, event: AlarmEvent) -> None:
-        """Go on from an event of this channel that another run of the monitor, or another monitor, made."""
+        """Continue from an event of this channel that an earlier run, or another monitor, has published."""
         if event.state == "cleared":
             self.state.deactivate()
             return
@@ -244,7 +246,7 @@ class Alarm:
         self.state.resume(
             estimate=estimate,
             peak=event.peak if event.peak is not None else estimate,
-            # JSON has no infinity, so a size may come back as nothing.
+            # JSON has no infinity, so a size may be None.
             size=self.rule.threshold if event.threshold is None else event.threshold,
             reported_ns=event.vehicle_time_ms * 1_000_000,
             critical=event.severity == "critical",
@@ -261,11 +263,11 @@ class Alarm:
         relative: float | None = None,
         sd: float | None = None,
     ) -> AlarmEvent:
-        """Return the event that the latest row, one of the observer's samples, caused.
+        """Return the event of the latest row.
 
-        ``code`` (RAISED, UPDATED or CLEARED) is what the rule returned for the row. ``command`` is what the fault takes
-        its share of, where that makes sense; ``relative`` that share, where it is known in another way; ``sd`` the
-        standard deviation of the size.
+        ``code`` (RAISED, UPDATED or CLEARED) is what the rule returned for the row. ``command`` is the command of which
+        the fault takes a share, if that makes sense; ``relative`` is that share if it is known in another way; ``sd``
+        is the standard deviation of the size.
         """
         rule, now = self.rule, self.state
         vehicle_ns, time_ns = int(samples.vehicle_time_ns[row]), int(samples.time_ns[row])
@@ -275,7 +277,7 @@ class Alarm:
             self._id = alarm_id(self._vehicle, rule.observer, rule.channel, time_ns)
             self.since_ns = time_ns + late_ns
         if command is not None:
-            # current and resistance may be any number of times the usual one
+            # current and resistance may be many times the expected value
             unbounded = rule.unit in (CURRENT, RESISTANCE) and command
             relative = now.shown / command if unbounded else relative_loss(now.shown, command)
         state = _STATES[code]
@@ -289,7 +291,7 @@ class Alarm:
         return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative, sd)
 
     def affect(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
-        """Say that this alarm explains what another channel shows; return the event, None where that is known."""
+        """List another channel as affected by this alarm's cause; return the event, or None if it is listed already."""
         last = self._last
         if not self.state.active or last is None or channel in self._affected:
             return None
@@ -300,13 +302,13 @@ class Alarm:
         return self._last
 
     def close(self, time_ns: int, vehicle_ns: int, why: str) -> AlarmEvent:
-        """End an active alarm whatever its evidence says, and forget that; return the event."""
+        """End an active alarm regardless of its evidence, and forget that evidence; return the event."""
         event = self._event("cleared", time_ns, vehicle_ns, why, None, None)
         self.state.deactivate()
         return event
 
     def withdraw(self, time_ns: int, vehicle_ns: int, why: str) -> AlarmEvent | None:
-        """End an alarm that another one, raised soon after it, explains; return the event, None where that is none."""
+        """End an alarm that an alarm raised soon after it explains; return the event, if any."""
         if not self.state.active or not 0 <= time_ns - self.since_ns < LATELY_NS:
             return None
         return self.close(time_ns, vehicle_ns, why)

@@ -1,20 +1,20 @@
-"""The alarm desk: what operators do with alarms, after ISA-18.2, on top of what the evidence says.
+"""The alarm desk: what operators do with alarms, after ISA-18.2.
 
-The alarms themselves are raised, updated and cleared by the evidence. The desk adds the operators' side:
+Evidence raises, updates and clears the alarms. The desk adds the operators' side:
 
-- acknowledged: an operator knows the alarm; withdrawn when it becomes critical or returns;
-- shelved: a channel is silent until a stated time. Its alarm enters as ``shelved``, its updates are not published, and
-  it is raised anew, with the same id, if it is still active when the time is over;
-- latched: an alarm of such a channel stays active when its cause is gone, until it is reset;
-- reset: any alarm ends; its observer begins anew, and raises another one if the cause acts on;
+- acknowledged: an operator knows the alarm; this is withdrawn when the alarm becomes critical or returns;
+- shelved: a channel is silent until a stated time. Its alarm begins as ``shelved``, its updates are not published, and
+  it is raised again, with the same id, if it is still active at that time;
+- latched: an alarm of such a channel stays active after its cause is gone, until an operator resets it;
+- reset: ends any alarm; its observer restarts, and raises another alarm if the cause is still there;
 - out of service: a channel publishes nothing; its active alarm clears, and is a new alarm if its cause is still there
   afterwards;
-- flood: when too many alarms come at once, further warnings are shelved until the flood is over, and one alarm reports
-  it. Critical alarms are never held back;
-- one cause, one alarm: a finding that names an active alarm's cause more exactly (a speed controller that turns its
-  motor too slowly, of a motor that delivers less) is said in that alarm, which is active until both are gone.
+- flood: if too many alarms are raised at once, further warnings are shelved until the flood is over, and one alarm
+  reports it. Critical alarms are never held back;
+- one cause, one alarm: a finding that names the cause of an active alarm more exactly (a speed controller whose motor
+  turns too slowly, for a motor that delivers less) becomes part of that alarm, which stays active until both are gone.
 
-The desk numbers the events and sees time only in messages, so a recording replays it.
+The desk numbers the events. It knows time only from messages, so a replay of a recording repeats what it did.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ OBSERVER = "monitor"
 FLOOD = "flood"
 FLOOD_KEY = (OBSERVER, FLOOD)
 MAX_SHELVE_NS = 30 * 86_400 * 1_000_000_000
-"""ISA-18.2 wants shelving to end by itself; a month is longer than any campaign. The configuration sets less."""
+"""Longest shelving: a month. ISA-18.2 requires that shelving ends by itself. The configuration sets less."""
 AS_BEFORE = " (as before the monitor changed)"
 
 ChannelKey = tuple[str, str]
 
 MAX_FLOOD = 1_000_000
-"""Alarms and seconds that a rule may state. Chosen: what is beyond is a mistake in a recorded rule."""
+"""Largest number of alarms and of seconds in a rule. Chosen: a larger number is a mistake in a recorded rule."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeskRule:
-    """What the desk does with which channels; a channel is written ``observer/channel``."""
+    """How the desk treats which channels; a channel is written ``observer/channel``."""
 
-    latched: frozenset[str] = frozenset()  # channels whose alarms stay until reset
-    out_of_service: frozenset[str] = frozenset()  # channels that say nothing
-    # number of alarms raised within ``flood_s`` seconds from which on there is a flood; 0: never
+    latched: frozenset[str] = frozenset()  # channels whose alarms stay active until an operator resets them
+    out_of_service: frozenset[str] = frozenset()  # channels that are out of service
+    # a flood begins with this many alarms raised within ``flood_s`` seconds; 0: never
     flood_raised: int = 10
     flood_s: float = 60.0
 
 
 def desk_rule(fields: Mapping[str, object], default: DeskRule) -> DeskRule:
-    """Return the rule that a message's fields describe; what they lack or spell wrong stays as it is."""
+    """Return the rule that a message's fields describe; missing or malformed fields keep their default."""
 
     def names(key: str, before: frozenset[str]) -> frozenset[str]:
         entries = fields.get(key)
@@ -81,23 +81,23 @@ def rule_fields(rule: DeskRule) -> dict[str, object]:
 
 @dataclass(slots=True)
 class _Active:
-    """An active alarm: its last event, and what the desk knows of it."""
+    """An active alarm: its last event, and what the desk knows about it."""
 
     event: AlarmEvent
     silent: bool = False
-    """Whether nothing was published since it was shelved."""
+    """Whether nothing has been published since it was shelved."""
     text: str = ""
     """Its own sentence, without those of the findings."""
     findings: dict[ChannelKey, AlarmEvent] = field(default_factory=dict)
-    """Last events of those that name its cause more exactly."""
+    """Last events of the findings that name its cause more exactly."""
     over: AlarmEvent | None = None
-    """What clears it as soon as they are gone, too."""
+    """The event that clears it as soon as the findings are gone, too."""
 
 
 class AlarmDesk:
-    """State of one vehicle's alarms as operators see them.
+    """The alarms of one vehicle as operators see them.
 
-    ``general`` names, by channel, those whose alarms it says more of.
+    ``general`` gives, for each channel of findings, the channels whose alarms the finding becomes part of.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class AlarmDesk:
         return {_text(key): until for key, until in self._shelved.items() if key not in self._held_back}
 
     def set_rule(self, rule: DeskRule, now_ns: int) -> list[AlarmEvent]:
-        """Apply another rule from now on; return the events of channels that go out of service or come back."""
+        """Apply another rule from now on; return the events of channels that go out of service or return to service."""
         self.rule = rule
         self._raised_ns = deque(self._raised_ns, maxlen=rule.flood_raised + 1)
         published = []
@@ -163,7 +163,7 @@ class AlarmDesk:
         entry = self._active.get(key)
         if entry is None:
             return []
-        # An alarm that returned while it was latched goes on under the id it had.
+        # An alarm that returned while it was latched keeps its id.
         event = replace(event, id=entry.event.id, since_ns=entry.event.since_ns)
         if event.state == "cleared" and entry.findings:
             entry.over = event
@@ -178,12 +178,12 @@ class AlarmDesk:
         return self._keep_joined(entry, event)
 
     def findings(self, key: ChannelKey) -> tuple[ChannelKey, ...]:
-        """Return the channels that name the cause of a channel's active alarm more exactly."""
+        """Return the channels whose findings are part of a channel's active alarm."""
         entry = self._active.get(key)
         return () if entry is None else tuple(entry.findings)
 
     def _refined(self, key: ChannelKey, event: AlarmEvent) -> _Active | None:
-        """Return the active alarm that an event says more of, None where it is one of its own."""
+        """Return the active alarm that this finding becomes part of, or None if the event is an alarm of its own."""
         known = next((entry for entry in self._active.values() if key in entry.findings), None)
         if known is not None or event.state != "raised" or key in self._active or key in self._shelved:
             return known
@@ -192,7 +192,10 @@ class AlarmDesk:
         return next(active, None)
 
     def _refine(self, entry: _Active, key: ChannelKey, event: AlarmEvent) -> list[AlarmEvent]:
-        """Say a finding in the alarm whose cause it names; its mere updates wait for the alarm's own."""
+        """Add a finding to the alarm whose cause it names.
+
+        Mere updates of the finding are published with the alarm's next event.
+        """
         was = entry.findings.get(key)
         if event.state == "cleared":
             del entry.findings[key]
@@ -209,21 +212,22 @@ class AlarmDesk:
         return self._keep_joined(entry, replace(now, state="updated"))
 
     def _keep_joined(self, entry: _Active, event: AlarmEvent) -> list[AlarmEvent]:
-        """Store an update with what the findings say; one that is worse is to be acknowledged anew."""
+        """Store an update together with the findings' sentences; a more severe one has to be acknowledged again."""
         joined = _joined(entry, event)
         worse = joined.severity == "critical" and entry.event.severity != "critical"
         return self._keep(entry, joined, acknowledged=entry.event.acknowledged and not worse)
 
     def tick(self, now_ns: int) -> list[AlarmEvent]:
-        """Let Unix time come to ``now_ns``; return the events that the ends of shelving and of a flood cause."""
+        """Advance the Unix time to ``now_ns``; return the events of shelvings and floods that end by then."""
         events: list[AlarmEvent] = []
         if not self._shelved and FLOOD_KEY not in self._active:
             return events
-        # A clock that was set back shall not make a flood of seconds one of hours.
+        # If the clock was set back, a flood of seconds must not last hours.
         self._flood_until_ns = min(self._flood_until_ns, now_ns + round(self.rule.flood_s * 1e9))
         for key in self._held_back:
             self._shelved[key] = self._flood_until_ns
-        # In order of their ends and at those times, so that it does not matter when the next message comes.
+        # In the order of their ends and at those times, so that the result does not depend on when the next message
+        # comes.
         ends = [(until, 0, key) for key, until in self._shelved.items()]
         ends += [(self._flood_until_ns, 1, FLOOD_KEY)] * (FLOOD_KEY in self._active)
         for until, is_flood, key in sorted(end for end in ends if end[0] <= now_ns):
@@ -236,7 +240,7 @@ class AlarmDesk:
 
     @property
     def due_ns(self) -> int | None:
-        """Unix time at which shelving or a flood ends next; None where nothing is shelved and there is no flood."""
+        """Unix time at which the next shelving or flood ends; None if nothing is shelved and there is no flood."""
         ends = [
             max(until, self._flood_until_ns if key in self._held_back else 0) for key, until in self._shelved.items()
         ]
@@ -244,7 +248,7 @@ class AlarmDesk:
         return min(ends, default=None)
 
     def refusal(self, verb: str, fields: Mapping[str, object]) -> str | None:
-        """Return why an operator's command cannot be carried out, None where it can."""
+        """Return why an operator's command cannot be carried out, or None if it can."""
         if verb not in ("ack", "shelve", "unshelve", "reset"):
             return f"'{verb}' is no command; commands are ack, shelve, unshelve, reset"
         key = self.key(fields)
@@ -264,7 +268,7 @@ class AlarmDesk:
         return None
 
     def operate(self, verb: str, fields: Mapping[str, object], now_ns: int) -> list[AlarmEvent]:
-        """Carry out an operator's command; one that :meth:`refusal` objects to changes nothing."""
+        """Carry out an operator's command; a command that :meth:`refusal` rejects changes nothing."""
         key = self.key(fields)
         if key is None or self.refusal(verb, fields) is not None:
             return []
@@ -299,12 +303,12 @@ class AlarmDesk:
         now_ns: int,
         shelved: Mapping[str, int] = MappingProxyType({}),
     ) -> list[AlarmEvent]:
-        """Go on from alarms that another run of the monitor, or another monitor, left active.
+        """Continue from the active alarms of an earlier run, or of another monitor.
 
-        ``alarms`` are the last event of each, in the order of their numbers; ``watched`` the channels that can still
-        clear by themselves; ``shelved`` says which channels are shelved, also without one of these alarms, and until
-        when. Return every alarm once more: as updated where it was known, as raised where only this desk knew of it, as
-        cleared where its channel is no longer watched.
+        ``alarms`` holds the last event of each alarm, in the order of their numbers; ``watched`` the channels that can
+        still clear by themselves; ``shelved`` the shelved channels, with or without an alarm, and the ends of shelving.
+        Return every alarm once more: as updated if its subscribers know it, as raised if only this desk knew it, as
+        cleared if its channel is no longer watched.
         """
         alarms = [replace(event, message=event.message.removesuffix(AS_BEFORE)) for event in alarms]
         known = {(event.observer, event.channel): event for event in alarms}
@@ -371,8 +375,8 @@ class AlarmDesk:
         self._held_back.discard(key)
 
     def _flood(self, event: AlarmEvent) -> list[AlarmEvent]:
-        """Count a raised alarm; return the alarm of a flood where it is the one too many."""
-        # What the monitor says of itself or of the link is no reason to keep quiet about the vehicle.
+        """Count a raised alarm; return the alarm that reports a flood if this one begins it."""
+        # Alarms about the monitor itself or the link are no reason to shelve alarms about the vehicle.
         if not self.rule.flood_raised or event.kind in ("stale", "system", "security", "blind"):
             return []
         now_ns, within_ns = event.time_ns, round(self.rule.flood_s * 1e9)
@@ -413,7 +417,7 @@ class AlarmDesk:
         return [entry.event]
 
     def _carry(self, entry: _Active, event: AlarmEvent) -> AlarmEvent:
-        """Return an event with the flags of the one before it."""
+        """Return an event with the flags of the event before it."""
         was = entry.event
         kept = {name: getattr(was, name) for name in ("acknowledged", "latched", "shelved_until_ns")}
         return replace(event, **kept, part=event.part or was.part)
@@ -437,7 +441,7 @@ class AlarmDesk:
         return replace(event, seq=self.seq)
 
     def key(self, fields: Mapping[str, object]) -> ChannelKey | None:
-        """Return the channel that a command means by id or by name; a name need not have an alarm now."""
+        """Return the channel that a command names, by an alarm's id or by name; it need not have an alarm."""
         wanted = fields.get("id")
         for key, entry in self._active.items():
             if wanted is not None and entry.event.id == wanted:
@@ -460,7 +464,7 @@ def _cleared(event: AlarmEvent, now_ns: int, text: str) -> AlarmEvent:
 
 
 def _joined(entry: _Active, event: AlarmEvent) -> AlarmEvent:
-    """Return an event of an alarm with the sentences of the findings, as severe as the worst of them."""
+    """Return an alarm's event with the sentences of its findings, as severe as the most severe of them."""
     findings = list(entry.findings.values())
     own = [entry.text] if entry.over is None else []
     return replace(
@@ -472,12 +476,12 @@ def _joined(entry: _Active, event: AlarmEvent) -> AlarmEvent:
 
 
 def _with(entry: _Active, what: str) -> str:
-    """Return an alarm's own sentence, and behind it what was done."""
+    """Return an alarm's own sentence, followed by what the operator did."""
     return f"{entry.event.message} ({what})"
 
 
 def _by(what: str, fields: Mapping[str, object]) -> str:
-    """Return the action, its operator and the reason, as far as they are given."""
+    """Return the action, the operator and the reason, as far as they are given."""
     by, reason = fields.get("by"), fields.get("reason")
     return (
         what

@@ -1,8 +1,10 @@
-"""Alarms that another alarm explains: a gyro jump tilts the attitude, and the tilt looks like a GPS that speeds away.
+"""Alarms that another alarm explains: a gyro jump tilts the attitude, and the tilt looks like a GPS that drifts away.
 
-While a channel is excused its evidence raises no alarm. One that is active already follows its evidence as ever, so it
-clears as soon as that is gone, or ends where the rule says that it may have come first. A channel that two observers
-watch (a gyro, by motors and by GPS) is one fault: while the alarm of one is active, the other raises none.
+While a channel is excused, its evidence raises no alarm. An alarm that is active already follows its evidence as usual:
+it clears when the evidence is gone, or ends at once if the rule says that a consequence may be raised before its cause.
+
+If two observers watch one channel (a gyro, by the motors' and by the inertial observer), both see one fault: while the
+alarm of one is active, the other raises none.
 """
 
 from __future__ import annotations
@@ -26,27 +28,27 @@ Withdraw = Callable[[int, int, str], AlarmEvent | None]
 
 @dataclass(frozen=True, slots=True)
 class ExcuseRule:
-    """While one of these alarms is active, and for some time after, evidence on those channels is explained by it."""
+    """While an alarm of ``during`` is active, and for some time after, it explains the evidence on ``channels``."""
 
     channels: tuple[str, ...]  # channels that are excused
     by: tuple[str, ...]  # channels whose alarms excuse them
-    for_s: float  # how long after such an alarm has cleared, seconds
-    # whether those alarms name the same cause more exactly: raised while one of the channels has an active alarm, they
-    # say more of that one and are none of their own (:mod:`monitor.alarms.desk`)
+    for_s: float  # how long they are excused after such an alarm has cleared, seconds
+    # whether these alarms name the same cause more exactly: an alarm that is raised while one of the channels has an
+    # active alarm becomes part of that alarm (:mod:`monitor.alarms.desk`)
     same_cause: bool = False
-    # whether an alarm of the channels may be raised before the one that explains it: one of the last 10 s ends then
+    # whether an alarm of the channels may be raised before the alarm that explains it: one of the last 10 s then ends
     precedes: bool = False
 
     def among(self, alarms: Collection[str]) -> ExcuseRule:
-        """Return what the rule says of these channels."""
+        """Return the rules of these channels."""
         channels, by = (tuple(name for name in names if name in alarms) for names in (self.channels, self.by))
         return replace(self, channels=channels, by=by)
 
 
 class Excuses:
-    """Follows a vehicle's alarms and tells the alarms that they excuse by the profile's rules.
+    """Follows a vehicle's alarms, and tells the alarms that they excuse by the profile's rules.
 
-    ``impostor`` is what the alarm of a second sender is told that it explains.
+    ``impostor`` is called with the channels that the alarm of a second sender explains.
     """
 
     def __init__(self, rules: Sequence[ExcuseRule], impostor: Affect = lambda *_: None) -> None:
@@ -77,10 +79,10 @@ class Excuses:
         affect: Affect | None = None,
         withdraw: Withdraw | None = None,
     ) -> None:
-        """Excuse an alarm of this channel from now on whenever the rules, or another observer's, say so.
+        """Register an alarm of this channel: the rules, and alarms of other observers, excuse it from now on.
 
-        ``jumps``: its observer sees the fault begin and end, both as jumps, and not that it lasts. ``affect`` is what
-        the alarm is told that it explains, ``withdraw`` ends it where a later one explains it.
+        ``jumps``: its observer sees the begin and the end of a fault as jumps, and not that the fault lasts. ``affect``
+        is called with the channels that the alarm explains; ``withdraw`` ends the alarm if a later one explains it.
         """
         self._alarms.setdefault(channel, []).append(alarm)
         if jumps:
@@ -91,16 +93,16 @@ class Excuses:
             self._withdraw.setdefault(channel, []).append(withdraw)
 
     def add_beside(self, channel: str, alarm: AlarmState, sooner: Collection[str], for_s: float) -> None:
-        """Excuse an alarm while observers that see its faults sooner have named one, and for some time after.
+        """Excuse an alarm while an observer that sees its faults sooner has named one, and for some time after.
 
-        Of a fault that one of them names another observer of the same motion knows no better.
+        Another observer of the same motion cannot name that fault better.
         """
         self._beside[alarm] = channel, frozenset(sooner), for_s
 
     def explained(
         self, channel: str, time_ns: int, vehicle_ns: int, alarm: AlarmState | None = None
     ) -> AlarmEvent | None:
-        """Return the event by which an active alarm lists the channel of one that it explains; None where none does."""
+        """Return the event by which an active alarm lists the channel that it explains, if any does."""
         if alarm in self._forged:
             return self._affect_impostor(channel, time_ns, vehicle_ns)
         rules = [rule for rule in self._rules.get(channel, ()) if not rule.same_cause]
@@ -111,7 +113,10 @@ class Excuses:
         return None
 
     def consequences(self, event: AlarmEvent) -> list[AlarmEvent]:
-        """End the alarms that one which has just been raised explains; return the events. Follow that one before."""
+        """End the alarms that a newly raised alarm explains; return the events.
+
+        Call :meth:`follow` for that alarm first.
+        """
         events: list[AlarmEvent] = []
         rules = self._rules.items() if event.state == "raised" else ()
         for channel in (name for name, of in rules if any(event.channel in rule.by for rule in of if rule.precedes)):
@@ -121,7 +126,10 @@ class Excuses:
         return events
 
     def consequence(self, ended: AlarmEvent | None, alarm: AlarmState | None = None) -> list[AlarmEvent]:
-        """Follow the end of an alarm that another one explains; return it, and that other one's listing of it."""
+        """Follow the end of an alarm that another one explains.
+
+        Return its event, and the event by which the other lists it.
+        """
         if ended is None:
             return []
         self.follow(ended)
@@ -148,7 +156,7 @@ class Excuses:
             shared = channel == event.channel and len(alarms) > 1
             if shared or any(event.channel in rule.by for rule in self._rules.get(channel, ())):
                 jumps = self._jumps.get(channel, ())
-                # The jump at the end of a fault that another observer has followed is its end.
+                # Another observer has followed this fault, so the jump is the fault's end.
                 followed = event.channel == channel and event.observer not in {observer for observer, _ in jumps}
                 if followed and event.state == "cleared":
                     self._lasting_cleared_ns[channel] = self._cleared_ns[channel]
@@ -163,7 +171,7 @@ class Excuses:
                 self._set(channel, [alarm])
 
     def _set(self, channel: str, alarms: Sequence[AlarmState]) -> None:
-        """Let alarms of a channel know when they are excused."""
+        """Tell the alarms of a channel when they are excused."""
         now, spans = self._excuse(channel)
         ended = spans
         if (cleared_ns := self._lasting_cleared_ns.get(channel)) is not None:
@@ -177,7 +185,7 @@ class Excuses:
             alarm.set_excuse(now or named or alarm in self._forged, times)
 
     def _excuse(self, channel: str) -> tuple[bool, NDArray[np.int64]]:
-        """Return whether a channel is excused whenever, and the spans of vehicle time in which it is (m, 2), ns."""
+        """Return whether a channel is excused all the time, and the spans of vehicle time in which it is (m, 2), ns."""
         if len(self._alarms.get(channel, ())) > 1 and self._active.get(channel):
             return True, np.empty((0, 2), np.int64)
         spans = []
@@ -191,16 +199,16 @@ class Excuses:
 
 
 def _about(cleared_ns: int, for_s: float) -> tuple[int, int]:
-    """Return the span of vehicle time in which an alarm that has cleared excuses others, ns.
+    """Return the span of vehicle time in which a cleared alarm still excuses others, ns.
 
-    An event bears the time at which its sample was known: the rows that follow it may be of an earlier one.
+    An event carries the time at which its sample was known; the rows that follow it may be of an earlier time.
     """
     after_ns = min(int(for_s * 1e9), LATEST_NS)
     return cleared_ns - after_ns, cleared_ns + after_ns
 
 
 def general_of(rules: Sequence[ExcuseRule]) -> dict[str, tuple[str, ...]]:
-    """Return, by channel, those whose causes it names more exactly."""
+    """Return, for each channel of findings, the channels whose causes it names more exactly."""
     finer = {cause for rule in rules if rule.same_cause for cause in rule.by}
     return {
         cause: tuple(channel for rule in rules if rule.same_cause and cause in rule.by for channel in rule.channels)
@@ -209,7 +217,7 @@ def general_of(rules: Sequence[ExcuseRule]) -> dict[str, tuple[str, ...]]:
 
 
 def read_excuses(tables: Iterable[Table], known: Sequence[str]) -> tuple[ExcuseRule, ...]:
-    """Return the rules of a profile whose alarm channels are ``known``; mistakes are recorded in its file."""
+    """Return the rules of a profile with the alarm channels ``known``; mistakes are recorded in its file."""
     rules = []
     for table in tables:
         rule = ExcuseRule(

@@ -1,6 +1,6 @@
-"""Alarms about the link rather than the vehicle: forged or replayed packets, no heartbeat, no telemetry at all.
+"""Alarms about the link instead of the vehicle: forged or replayed packets, no heartbeat, no telemetry at all.
 
-Decided on messages and their times of arrival alone, like everything in the pipeline.
+They depend only on messages and their times of arrival, like everything in the pipeline.
 """
 
 from __future__ import annotations
@@ -23,43 +23,47 @@ IMPOSTOR = "impostor"
 COMMAND = "command"
 
 _QUIET_NS = 10_000_000_000
-"""Time without a wrong signature, or a command, after which an attack is over; chosen, as long as the heartbeat's."""
+"""Time without a wrong signature, or without a command, after which an attack is over. Chosen: as long as for the
+heartbeat."""
 HEARTBEAT_NS = 10_000_000_000
 """Ten heartbeats at MAVLink's rate of one a second. A link that loses 10 % at random misses ten in a row once in 350
 years, one that loses 30 % once in three days."""
 _ENDS = {SIGNING: "no more packets with a wrong signature", COMMAND: "nothing of the kind was commanded any more"}
-"""What ends an alarm of single messages, by channel."""
+"""For each channel, the sentence with which an alarm of single messages clears."""
 _MOST_PACKETS = 1 << 62
-"""Counts of a recording are cut off here, so that the sum of three fits into 64 bits."""
+"""Counts of a recording are limited to this, so that the sum of three fits into 64 bits."""
 SET_BACK_NS = 10_000_000_000
-"""A message that seems to have come earlier by as much was not late: the clock was set back. Datagrams wait in the
-kernel for less (``adapters/mavlink/byte_link.py``)."""
+"""A message that seems to be earlier by this much was not late: the clock was set back. Datagrams wait in the kernel
+for less (``adapters/mavlink/byte_link.py``)."""
 _UPDATE_NS = 1_000_000_000
-"""Updates come at most once a second, as those of all alarms do."""
+"""Updates are published at most once a second, as for all alarms."""
 
 
 class LinkAlarms:
-    """State of the link's alarms of one vehicle.
+    """The link's alarms of one vehicle.
 
-    ``signing`` is raised by the first packet whose signature is forged, replayed or missing where one is required,
-    reports once a second how many there were, and clears after 10 s without another. ``link`` is raised where other
-    telemetry goes on but the autopilot's heartbeat has not come for 10 s. ``impostor`` is active while messages
-    contradict each other so that two senders must have sent them. ``command`` tells what somebody new commands in
-    flight, and floods of commands, and clears after 10 s without another.
+    ``signing`` is raised by the first packet whose signature is forged, replayed or missing although one is required,
+    reports their number once a second, and clears after 10 s without another. ``link`` is raised if other telemetry
+    goes on but the autopilot's heartbeat has not come for 10 s. ``impostor`` is active while messages contradict each
+    other in a way that only two senders explain. ``command`` reports risky commands of new senders in flight and floods
+    of commands, and clears after 10 s without another.
     """
 
     def __init__(self, vehicle: str) -> None:
         self._vehicle = vehicle
         self._active: dict[str, AlarmEvent] = {}
-        self._affected: list[str] = []  # channels that the active impostor explains
+        self._affected: list[str] = []  # channels that the active impostor alarm explains
         self._counts: dict[str, int] = {}
         self._baseline = 0
-        self._last_ns: dict[str, int] = {}  # of a wrong signature, of a command
+        self._last_ns: dict[str, int] = {}  # time of the last wrong signature, and of the last command
         self._heartbeat_ns: int | None = None
         self._vehicle_ms = 0
 
     def process(self, message: Message, vehicle_ns: int) -> list[AlarmEvent]:
-        """Process any message of the vehicle's link, with the newest time of its clock; return the events it causes."""
+        """Process any message of the vehicle's link, with the newest time of its clock.
+
+        Return the events that it causes.
+        """
         now_ns = message.received_ns
         self._vehicle_ms = vehicle_ns // 1_000_000
         events = self.quiet(now_ns)
@@ -77,7 +81,7 @@ class LinkAlarms:
 
     @property
     def heartbeat_ns(self) -> int:
-        """When the autopilot's last heartbeat came; 0 while there was none."""
+        """When the autopilot's last heartbeat came; 0 before the first."""
         return self._heartbeat_ns or 0
 
     @property
@@ -87,17 +91,17 @@ class LinkAlarms:
 
     @property
     def due_ns(self) -> int:
-        """Unix time from which any message may cause an event here."""
+        """Unix time from which on a message may cause an event."""
         due = [self._last_ns[channel] + _QUIET_NS for channel in _ENDS if channel in self._active]
         return min(due, default=LATEST_NS)
 
     def pass_over(self, heartbeat_ns: int, vehicle_ns: int) -> None:
-        """Follow messages that cause nothing: the newest heartbeat, the vehicle's time at the last of them."""
+        """Follow messages that cause no event: the newest heartbeat, and the vehicle's time at the last of them."""
         self._vehicle_ms = vehicle_ns // 1_000_000
         self._heartbeat_ns = heartbeat_ns or self._heartbeat_ns
 
     def contradict(self, contested: Sequence[str], now_ns: int, severity: Severity = "critical") -> list[AlarmEvent]:
-        """Follow what contradicts itself at a Unix time, a sentence each; return the events that a change causes."""
+        """Follow the contradictions at a Unix time, a sentence for each; return the events that a change causes."""
         active = self._active.get(IMPOSTOR)
         if not contested:
             return [] if active is None else [self._clear(IMPOSTOR, now_ns, "nothing contradicts itself any more")]
@@ -111,7 +115,7 @@ class LinkAlarms:
         return [self._event(IMPOSTOR, replace(active, severity=severity), "updated", now_ns, None, text)]
 
     def affect(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
-        """Say that forged values explain what a channel shows; return the event, None where that is known."""
+        """Add that forged values explain a channel's evidence; return the event, or None if that is known."""
         active = self._active.get(IMPOSTOR)
         if active is None or channel in self._affected:
             return None
@@ -121,8 +125,8 @@ class LinkAlarms:
         return self._event(IMPOSTOR, active, "updated", max(time_ns, active.time_ns), None, text)
 
     def quiet(self, now_ns: int) -> list[AlarmEvent]:
-        """Let Unix time come to ``now_ns``; return the events that this causes."""
-        # At the end of the 10 s, whenever the next message comes.
+        """Advance the Unix time to ``now_ns``; return the events that this causes."""
+        # At the end of the 10 s, regardless of when the next message comes.
         over = [
             (self._last_ns[channel] + _QUIET_NS, channel)
             for channel in _ENDS
@@ -142,11 +146,11 @@ class LinkAlarms:
         return [self._event(COMMAND, replace(active, severity=severity), "updated", now_ns, None, finding.text)]
 
     def silent(self) -> None:
-        """Forget the heartbeat, as all telemetry stopped: its absence is no news until it comes again."""
+        """Forget the heartbeat, since all telemetry has stopped: it is not missed until it has come again."""
         self._heartbeat_ns = None
 
     def adopt(self, event: AlarmEvent) -> None:
-        """Go on from an event that another run of the monitor, or another monitor, made."""
+        """Continue from an event that an earlier run, or another monitor, has published."""
         if event.state == "cleared":
             self._active.pop(event.channel, None)
             return
@@ -159,7 +163,7 @@ class LinkAlarms:
         total = sum(counts.values())
         if SIGNING not in self._active:
             self._baseline = sum(self._counts.values())
-        # A link that was opened anew counts from zero.
+        # A link that was reopened counts from zero.
         if total < sum(self._counts.values()):
             self._baseline = 0
         self._counts = counts
@@ -209,15 +213,15 @@ class LinkAlarms:
 
 
 def _count(value: object) -> int:
-    """Return a count as a recording may hold it: whole, and no larger than any link counts to."""
+    """Return a count within the limits of a recording: whole, and no larger than any link counts to."""
     return min(value, _MOST_PACKETS) if isinstance(value, int) and not isinstance(value, bool) and value > 0 else 0
 
 
 class StaleAlarm:
-    """State of the stale alarm of one vehicle: silence of the telemetry, never mixed with a fault of the vehicle.
+    """The stale alarm of one vehicle: silence of its telemetry, never mixed with a fault of the vehicle.
 
-    The alarm is raised ``stale_s`` seconds after the last message that carried a channel, and cleared by the next one;
-    a replay finds the same two moments in the recording.
+    The alarm is raised ``stale_s`` seconds after the last message that carried a channel, and cleared by the next such
+    message. A replay finds the same two moments in the recording.
     """
 
     def __init__(self, vehicle: str, stale_s: float) -> None:
@@ -234,32 +238,33 @@ class StaleAlarm:
 
     @property
     def carried_ns(self) -> int | None:
-        """When a channel was carried last; None before the first time and while telemetry is stale."""
+        """When a message last carried a channel; None before the first, and while telemetry is stale."""
         return None if self.active else self._carried_ns
 
     def follow(self, received_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
-        """Process a message that carries a channel; return the events that a silence before it and its end cause.
+        """Process a message that carries a channel; return the events of a silence before it and of its end.
 
-        It arrived at Unix time ``received_ns``; ``vehicle_ns`` is the newest known time of the vehicle's clock.
+        The message arrived at Unix time ``received_ns``; ``vehicle_ns`` is the newest known time of the vehicle's
+        clock.
         """
         events = self.silence(received_ns)
         if self._since_ns is not None:
             silent_ns = received_ns - (self._carried_ns or received_ns)
-            # The message itself tells the vehicle's clock only later: what is known of it is from before the silence.
+            # The vehicle's clock is known from before the silence only; the message's own time is processed later.
             back_ns = max(vehicle_ns, self._vehicle_ns + silent_ns)
             text = f"telemetry is back after {silent_ns / 1e9:.1f} s"
-            # It may have waited, and have come before the silence was long enough to be said.
+            # The message may have waited in a queue, and have arrived before the silence was long enough for an alarm.
             events.append(self._event("cleared", max(received_ns, self._since_ns), back_ns, text))
             self._since_ns = None
         self.pass_over(received_ns, vehicle_ns)
         return events
 
     def due(self, now_ns: int) -> bool:
-        """Return whether the silence has been long enough at Unix time ``now_ns``, and is not said yet."""
+        """Return whether the silence is long enough for an alarm at Unix time ``now_ns``, and not yet raised."""
         return self.carried_ns is not None and now_ns - self.carried_ns >= self.limit_ns
 
     def silence(self, now_ns: int) -> list[AlarmEvent]:
-        """Let Unix time come to ``now_ns``; return the event of telemetry going stale, once."""
+        """Advance the Unix time to ``now_ns``; return the event of telemetry that goes stale, once."""
         if self._carried_ns is not None and self._carried_ns - now_ns >= SET_BACK_NS:
             self._carried_ns = now_ns
         if self._carried_ns is None or not self.due(now_ns):
@@ -275,14 +280,17 @@ class StaleAlarm:
         ]
 
     def pass_over(self, received_ns: int, vehicle_ns: int) -> None:
-        """Follow messages without a silence: the newest with a channel, the vehicle's time at the last of them."""
+        """Follow messages without a silence.
+
+        Arguments are the newest that carried a channel, and the vehicle's time at the last of them.
+        """
         carried_ns = self._carried_ns
         if carried_ns is None or not 0 <= carried_ns - received_ns < SET_BACK_NS:
             self._carried_ns = received_ns
         self._vehicle_ns = vehicle_ns
 
     def adopt(self, event: AlarmEvent) -> None:
-        """Go on from an event that another run of the monitor, or another monitor, made."""
+        """Continue from an event that an earlier run, or another monitor, has published."""
         self._since_ns = None if event.state == "cleared" else event.since_ns
         if self._carried_ns is None:
             self._carried_ns = event.since_ns - self.limit_ns
