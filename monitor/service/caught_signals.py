@@ -10,7 +10,7 @@ from types import FrameType
 
 @contextmanager
 def caught_signals() -> Iterator[list[int]]:
-    """Catch SIGINT, SIGTERM and SIGHUP instead of what they do by themselves; yield the list of those received."""
+    """Catch SIGINT, SIGTERM and SIGHUP instead of their default actions; yield the list of the received signals."""
     received: list[int] = []
 
     def catch(number: int, frame: FrameType | None) -> None:

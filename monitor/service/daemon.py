@@ -1,7 +1,7 @@
 """The daemon's loop: batches from the inbox to their vehicles, and periodic work in between.
 
-Everything that decides sits in the vehicles' pipelines, which read no clock; the loop moves messages, lets time pass
-where nothing comes, and says after each vehicle that it is alive.
+Every decision is made in the vehicles' pipelines, which read no clock. The loop moves messages, advances the time when
+no messages come, and reports after each vehicle that it is alive.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from monitor.service.latency import ArrivalClock
 from monitor.service.vehicle_service import VehicleService
 
 _POLL_S = 0.05
-"""Chosen: how late an idle loop sees signals, requests and time; waking twenty times a second costs nothing
-measurable.
-"""
+"""Time after which an idle loop looks at signals, requests and the time. Chosen: waking twenty times a second costs
+nothing measurable."""
 _EVERY_NS = 50_000_000
-"""Periodic work. Chosen: as often as an idle loop wakes."""
+"""Period of the periodic work. Chosen: as often as an idle loop wakes."""
 _WORK_SHARE = 4
-"""Of a loop with little processor time periodic work takes a fourth, the vehicles have the rest."""
+"""If processor time is short, periodic work takes a fourth of the loop's time and the vehicles the rest."""
 _LATEST_NS = 500_000_000
-"""So late it is done whatever it takes: a status is due each second."""
+"""Longest delay of the periodic work, whatever it costs: a status is due each second."""
 
 
 class Daemon:
     """Runs the vehicles of one process on live links.
 
-    ``services`` returns the vehicles' services, which may become more; ``troubles`` what is wrong with links and disks,
-    for the status; ``every_turn`` is called about twenty times a second with the steady time, for reloads and retries,
-    and returns whether to go on; ``alive`` after each vehicle, for with little time for its fleet a turn is as long as
-    one that hangs. ``batch_s`` is how long links let telemetry wait to form batches.
+    ``services`` returns the vehicles' services, whose number may grow; ``troubles`` the problems of links and disks,
+    for the status. ``every_turn`` is called about twenty times a second with the steady time, for reloads and retries;
+    it returns whether to go on. ``alive`` is called after each vehicle: with little processor time, a turn of the whole
+    fleet takes as long as a turn that hangs. ``batch_s`` is how long links wait for telemetry to form batches.
 
-    What is due goes by the steady time (nanoseconds of the monotonic clock), which nobody sets; Unix time only stamps.
+    What is due is decided by the steady time (nanoseconds of the monotonic clock), which nobody can set; Unix time is
+    for stamps only.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Daemon:
         self._clock = ArrivalClock()
 
     def run(self) -> None:
-        """Monitor until a turn says that it is over, and process the batches of that turn."""
+        """Monitor until ``every_turn`` says that it is over, and process the batches of that turn."""
         due_ns, running = 0, True
         while running:
             arrivals = self._inbox.take(_POLL_S)
@@ -73,14 +73,17 @@ class Daemon:
                 took_ns = time.monotonic_ns() - steady_ns
                 due_ns = steady_ns + max(_EVERY_NS, took_ns + min((_WORK_SHARE - 1) * took_ns, _LATEST_NS))
             self._process(arrivals)
-            # Time may pass only where nothing older waits, here or in the links: it would end a silence.
+            # Advance the time only if no older message waits, here or in a link: that message would end a silence.
             if self._inbox.empty:
                 now_ns = time.time_ns() - max(self._held_ns, round(1e9 * self._inbox.unread_s))
                 for monitor in self._fleet:
                     monitor.pass_time(now_ns)
 
     def finish(self, patience_s: float) -> None:
-        """Process what still waits in the inbox, for so long at most; use it once the links are closed."""
+        """Process the messages that still wait in the inbox, for at most this long.
+
+        Call it after the links are closed.
+        """
         until = time.monotonic() + patience_s
         while not self._inbox.empty and time.monotonic() < until:
             self._process(self._inbox.take(0.0))

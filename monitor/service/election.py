@@ -17,28 +17,29 @@ if TYPE_CHECKING:
     import zenoh
 
 DEADLINE_S = 2.0
-"""A monitor whose main loop is not heard for so long is not there: the status comes once a second, so this is when the
-second one is missing. Chosen: shorter takes a busy machine for a dead one."""
+"""Time without a sign of a monitor's main loop after which the monitor counts as gone: the status comes once a second,
+so the second status is missing by then. Chosen: a shorter time would take a busy machine for a dead one."""
 _BEAT_S = 0.25
-"""Chosen: a deadline is eight beats, and the answer that a newcomer waits for comes within its discovery."""
+"""Period of a candidate's messages. Chosen: the deadline is eight periods, and the answer that a new monitor waits for
+comes within its discovery."""
 _DISCOVERY_S = 1.0
-"""Chosen: on a network peers are discovered in part of a second; a monitor that decided sooner could raise alarms
-beside another.
-"""
+"""Time for discovery. Chosen: on a network, peers are discovered within a part of a second; a monitor that decided
+sooner could raise alarms beside another."""
 _MOST_PEERS = 1024
-"""Only holders of the key get an entry; of more than these the longest silent one is forgotten."""
+"""Most monitors that are remembered. Only holders of the key get an entry; if there are more, the one that has been
+silent for longest is forgotten."""
 _TERM_BITS = 20
-"""Events of a term: a million, below which numbers stay exact in JavaScript (2^53) until the year 2242."""
+"""Event numbers of a term: a million, so that numbers stay exact in JavaScript (2^53) until the year 2242."""
 _SLOT_BITS = 16
-"""Two that become active in the same second, apart from each other, number from different sixteenths of a term, most
-likely."""
+"""If two separated monitors become active in the same second, they most likely number from different sixteenths of a
+term."""
 
 
 def first_number(last: int, now_ns: int) -> int:
-    """Return the number before the first event of a new term, where ``last`` is the largest that is known.
+    """Return the number before the first event of a new term; ``last`` is the largest number that is known.
 
-    A term is the Unix time in seconds at which it began, or the one after the last known, whichever is later. So a
-    number is not given twice even where the disk took none of the last ones.
+    A term is the Unix time in seconds at which it began, or the term after the last known one, whichever is later. So
+    no number is used twice, even if the disk lost the latest events.
     """
     term = max(now_ns // 1_000_000_000, term_of(last) + 1)
     return term << _TERM_BITS | secrets.randbelow(1 << (_TERM_BITS - _SLOT_BITS)) << _SLOT_BITS
@@ -57,25 +58,25 @@ class _Peer:
     active: bool = False
     term: int = 0
     heard_s: float = -math.inf
-    answered_s: float = -math.inf  # when it last said that it hears this monitor
-    lost_s: float = math.inf  # when its token was last lost; infinite once it was heard after that
+    answered_s: float = -math.inf  # when it last reported that it hears this monitor
+    lost_s: float = math.inf  # when its token was last lost; infinite if it was heard after that
 
 
 class Election:
     """One monitor's candidacy for a vehicle whose keys begin with ``root``; the session is left open by :meth:`close`.
 
-    Every monitor says four times a second, on ``<root>/candidate/<start time>-<random>`` and from its main loop,
-    whether it is active, in which term, and whom it hears. Only what is sealed with the shared secret counts, and only
-    from one that hears this monitor: so nobody without the key has a say, and nothing that was recorded earlier has.
-    The others take one for dead that is not heard for :data:`DEADLINE_S`, though its process and its connection may
-    live, and one whose liveliness token is gone after ``takeover_s``. One that stops says so, and the next one leads
-    at once.
+    Every monitor publishes four times a second, on ``<root>/candidate/<start time>-<random>`` and from its main loop,
+    whether it is active, in which term, and whom it hears. A message counts only if it is sealed with the shared secret
+    and comes from a monitor that hears this one: nobody without the key has a say, and no recorded message has. A
+    monitor counts as gone if it has not been heard for :data:`DEADLINE_S`, even if its process and its connection live,
+    or if its liveliness token has been gone for ``takeover_s``. A monitor that stops says so, and the next one becomes
+    active at once.
 
-    While none is active the oldest leads, in a term of its own. The active one gives way only to one that is active in
-    a later term: who was taken for dead and comes back yields. Who is the oldest goes by Unix time, which only puts the
-    names in order: where a clock was set, another one leads, and nobody waits longer.
-
-    ``term`` is the one in which this monitor is active, or was; set by who knows the numbers of earlier events.
+    While no monitor is active, the oldest becomes active, in a term of its own. The active monitor gives way only to a
+    monitor that is active in a later term: a monitor that was taken for dead and comes back yields. The age is by Unix
+    time, which only sorts the names: if a clock was set, another monitor becomes active, and nobody waits longer.
+    ``term`` is the term in which this monitor is active, or was; the caller sets it, who knows the numbers of earlier
+    events.
     """
 
     def __init__(self, session: zenoh.Session, root: str, seal: Seal, takeover_s: float = 0.5) -> None:
@@ -104,17 +105,17 @@ class Election:
         self._token: Any = liveliness.declare_token(self._key)
 
     def turn(self) -> bool:
-        """Say that this monitor is here; return whether it is to be active.
+        """Announce this monitor; return whether it is to be active.
 
-        Call it often, from the loop that monitors: what this does not come round to is no longer said. It is false
-        before others have had a second to show up.
+        Call it often, from the loop that monitors: if that loop hangs, the announcements stop. It returns False until
+        the other monitors have had a second to answer.
         """
         now_s = time.monotonic()
         with self._lock:
             alive = {name: peer for name, peer in self._peers.items() if self._is_alive(peer, now_s)}
             others = [(peer.term, name) for name, peer in alive.items() if peer.active]
             if self._active:
-                # Of two in one term, which were apart when they began, the older one stays.
+                # If two monitors became active in one term while they were separated, the older one stays active.
                 self._active = not any(
                     term > self.term or (term == self.term and name < self.name) for term, name in others
                 )
@@ -136,11 +137,11 @@ class Election:
             return sum(self._is_alive(peer, now_s) for peer in self._peers.values())
 
     def close(self) -> None:
-        """Give up the candidacy: the next one leads at once."""
+        """Give up the candidacy: the next monitor becomes active at once."""
         import zenoh
 
         payload = self._said([], stops=True)
-        # What may be dropped is dropped on a busy machine, and the next one would wait for nothing.
+        # A busy machine drops messages that may be dropped; the next monitor would then wait for the deadline.
         self._session.put(
             self._key,
             payload,

@@ -1,7 +1,8 @@
-"""Which vehicle a message belongs to: by its own link, by MAVLink system id, or a vehicle nobody has seen before.
+"""Which vehicle a message belongs to: by its own link, by MAVLink system id, or a new vehicle.
 
-A system id that belongs to nobody becomes a vehicle when its telemetry has come for a while: a forged packet or two
-take no vehicle, and heartbeats alone none of the places for new ones. What came meanwhile is kept and handed on.
+A system id that belongs to no vehicle becomes a vehicle when its telemetry has come for a while. A forged packet or two
+therefore take no vehicle, and heartbeats alone take none of the places for new vehicles. The messages of that while are
+kept and then processed.
 """
 
 from __future__ import annotations
@@ -21,21 +22,25 @@ from monitor.service.inbox import Arrival
 from monitor.service.vehicle_monitor import VehicleMonitor
 
 _SLOT_NS = 100_000_000
-"""Messages of less time are one burst. Chosen: no link that does not bunch holds back for a tenth of a second."""
+"""Messages within this time are one burst. Chosen: only a link that bunches messages holds them back for a tenth of a
+second."""
 _LEAST_SLOTS = 3
-"""Tenths of a second with telemetry that make a vehicle. Chosen: over a link of ten messages a second it is one after
-0.3 s, and a burst of forged packets is none."""
+"""Number of tenths of a second with telemetry that make a vehicle. Chosen: a link with ten messages a second has them
+after 0.3 s, and a burst of forged packets does not."""
 _LEAST_MESSAGES = 50
-"""Messages of telemetry at once that make one, too: what a link held back. Chosen: a forged packet or two are fewer."""
+"""Number of messages of telemetry in one burst that make a vehicle, too: a link had held them back. Chosen: more than a
+forged packet or two."""
 _MOST_SLOTS = 50
-"""As many as there are in the time for which messages are kept."""
+"""Most bursts that are counted: as many as there are in the time for which messages are kept."""
 _KEPT_NS = 5_000_000_000
-"""How long messages of nobody are kept. Chosen: three of a radio at 1 Hz, and heartbeats beside them."""
+"""How long messages without a vehicle are kept. Chosen: three messages of a radio at 1 Hz, and the heartbeats between
+them."""
 _KEPT_MESSAGES = 10_000
-"""Messages of nobody that are kept at most, of all systems: 20 MB. Those of the one that has most give way."""
+"""Most messages without a vehicle that are kept, of all systems together: 20 MB. The system with most of them loses its
+oldest."""
 _LEAST_APART_NS = 250_000_000
-"""Time from one new vehicle to the next. Chosen: 16 that are switched on together are there after 4 s, and whoever
-forges as many has to be seen doing it; of those that wait the one with most telemetry is first."""
+"""Time from one new vehicle to the next. Chosen: 16 vehicles that are switched on together are there after 4 s, and
+whoever forges as many can be seen doing it. Of the systems that wait, the one with most telemetry is first."""
 
 NewVehicle = Callable[[int], VehicleMonitor | None]
 
@@ -43,10 +48,10 @@ NewVehicle = Callable[[int], VehicleMonitor | None]
 class Fleet:
     """The vehicles of one monitor.
 
-    A vehicle whose pipeline has no system id yet takes the first that sends its channels for a while. ``new_vehicle``
-    makes the monitor of a system id that belongs to none of them, once an autopilot has sent heartbeats and other
-    telemetry, or returns None where there shall be none; it is asked once for each. ``foreign`` counts messages that
-    belong to no vehicle: of ground stations, other components and systems nobody asked for.
+    A vehicle whose pipeline has no system id yet takes the first system that sends its channels for a while.
+    ``new_vehicle`` makes the monitor of a system id that belongs to no vehicle, once an autopilot has sent heartbeats
+    and other telemetry; it returns None if there is to be none, and is called once for each id. ``foreign`` counts the
+    messages that belong to no vehicle: of ground stations, other components and systems that are not monitored.
     """
 
     def __init__(self, vehicles: Sequence[VehicleMonitor], new_vehicle: NewVehicle | None = None) -> None:
@@ -65,7 +70,7 @@ class Fleet:
         return len(self._vehicles)
 
     def get(self, name: str) -> VehicleMonitor | None:
-        """Return the vehicle of a name."""
+        """Return the vehicle with a name."""
         return self._vehicles.get(name)
 
     def add(self, vehicle: VehicleMonitor) -> None:
@@ -75,7 +80,10 @@ class Fleet:
             self._by_system[vehicle.pipeline.system] = vehicle
 
     def routed(self, arrivals: Sequence[Arrival]) -> list[tuple[VehicleMonitor, Batch]]:
-        """Return each vehicle with its messages of these arrivals as one batch; messages of none are counted."""
+        """Return each vehicle with its messages of these arrivals as one batch.
+
+        Count the messages without a vehicle.
+        """
         parts: dict[str, tuple[VehicleMonitor, list[Batch]]] = {}
         for arrival in arrivals:
             for vehicle, batch in self._split(arrival):
@@ -110,7 +118,10 @@ class Fleet:
         return []
 
     def _parts_of(self, system: int | None, batch: Batch) -> list[tuple[VehicleMonitor, Batch]]:
-        """Return the vehicle of a batch of one system, with it; None for the system stands for messages without ids."""
+        """Return the vehicle of a batch of one system, with the batch.
+
+        None for the system means messages without ids.
+        """
         if system is not None and system not in self._by_system:
             return self._strange(system, batch)
         known = self._by_system.get(system) if system is not None else None
@@ -119,7 +130,7 @@ class Fleet:
         return [(known, batch)] if known is not None else self._discard(batch.count)
 
     def _strange(self, system: int, batch: Batch) -> list[tuple[VehicleMonitor, Batch]]:
-        """Keep what belongs to nobody yet; return it with the vehicle that it belongs to from now on."""
+        """Keep messages that belong to no vehicle yet; return them with the vehicle if they now make one."""
         free = next((vehicle for vehicle in self._vehicles.values() if vehicle.pipeline.system == 0), None)
         if system in self._refused or (free is None and self._new_vehicle is None):
             return self._discard(batch.count)
@@ -149,17 +160,17 @@ class Fleet:
         return joined([batch for _, batch, _ in self._strangers.pop(system).kept])
 
     def _bound(self) -> None:
-        """Forget messages of nobody where there are too many, of the system that has most."""
+        """Forget the oldest messages without a vehicle if there are too many, those of the system with most of them."""
         while sum(seen.count for seen in self._strangers.values()) > _KEPT_MESSAGES:
             most = max(self._strangers.values(), key=lambda seen: seen.count)
             self.foreign += most.forget(1)
 
 
 class _Stranger:
-    """What came lately from a system id that belongs to nobody."""
+    """The latest messages of a system id that belongs to no vehicle."""
 
     def __init__(self) -> None:
-        # Time, messages, and how many of them are telemetry.
+        # time, number of messages, number of telemetry messages
         self.kept: deque[tuple[int, Batch, int]] = deque()
         self._slots: deque[int] = deque()
         self._heartbeat = False
@@ -167,26 +178,26 @@ class _Stranger:
 
     @property
     def slots(self) -> int:
-        """In how many tenths of a second its telemetry came."""
+        """Number of tenths of a second in which its telemetry came."""
         return len(self._slots)
 
     @property
     def count(self) -> int:
-        """How many messages are kept."""
+        """Number of messages that are kept."""
         return sum(batch.count for _, batch, _ in self.kept)
 
     @property
     def sends(self) -> bool:
-        """Whether its telemetry comes."""
+        """Whether its telemetry has come for long enough."""
         return self.slots >= _LEAST_SLOTS or sum(count for _, _, count in self.kept) >= _LEAST_MESSAGES
 
     @property
     def is_vehicle(self) -> bool:
-        """Whether it is an autopilot whose telemetry comes."""
+        """Whether it is an autopilot whose telemetry has come for long enough."""
         return self._heartbeat and self.sends
 
     def add(self, batch: Batch, pipeline: Pipeline | None) -> int:
-        """Keep a batch; return how many messages were forgotten. A pipeline says what telemetry it waits for."""
+        """Keep a batch; return how many messages were forgotten. A pipeline tells which telemetry it waits for."""
         telemetry = 0
         for entry in batch.entries:
             times = entry.received_ns if isinstance(entry, Columns) else np.array([entry.received_ns])

@@ -1,4 +1,4 @@
-"""How the daemon is doing, as one frozen snapshot; what of it is a problem of the monitor itself."""
+"""The daemon's health as one frozen snapshot, and which parts of it are problems of the monitor itself."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ from monitor.service.latency import LatencyBuckets, LatencyStatistics
 
 VehicleState = Literal["starting", "monitoring", "blind", "degraded", "stale"]
 LATE_S = 2.0
-"""Mean delay of a link over the last minute that is trouble. Chosen: after as long a silence telemetry is stale."""
+"""Mean delay of a link over the last minute that is reported as a problem. Chosen: a silence of that length makes
+telemetry stale."""
 LOOP_LIMIT_S = 5.0
-"""Chosen: far longer than any turn of the loop takes, sooner than systemd's watchdog (systemd/fauio@.service) acts."""
+"""Time without a turn of the main loop that is reported as a problem. Chosen: far longer than any turn takes, and
+shorter than systemd's watchdog waits (systemd/fauio@.service)."""
 
 _LINK_LOSSES = ("lost", "unknown", "bad_checksums", "damaged", "overruns", "dropped", "oversized", "malformed")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
 def resident_bytes() -> int:
-    """Return the resident memory of this process, 0 where the system does not tell."""
+    """Return the resident memory of this process, or 0 if the system does not tell it."""
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * _PAGE_BYTES
     except (OSError, ValueError, IndexError):
@@ -39,24 +41,24 @@ class ObserverHealth:
     """One observer of a vehicle."""
 
     name: str
-    samples: int = 0  # samples it was fed
-    # measurements it did without, by reason (``late``, ``invalid``, ``skipped`` ...)
+    samples: int = 0  # samples that it processed
+    # lost measurements by reason (``late``, ``invalid``, ``skipped`` ...)
     losses: Mapping[str, int] = field(default_factory=dict)
-    share: float = 0.0  # of the last minute in which it had evidence
-    evidence_age_s: float | None = None  # time since it had some; None: it never had
+    share: float = 0.0  # share of the last minute in which it had evidence
+    evidence_age_s: float | None = None  # time since it last had evidence; None: it never had any
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelHealth:
-    """One channel of a vehicle that can be an alarm."""
+    """One alarm channel of a vehicle."""
 
     observer: str
     name: str
-    unit: str = ""  # of what follows; empty where it has no size
-    estimate: float | None = None  # what is attributed to it now
+    unit: str = ""  # unit of the following sizes; empty: the channel has no size
+    estimate: float | None = None  # size that is attributed to it now
     threshold: float | None = None
-    severity: Severity | None = None  # of its alarm; None where none is active, or it is shelved
-    usual_command: float | None = None  # of an actuator: what it lost is said as a share of that
+    severity: Severity | None = None  # severity of its alarm; None: no active alarm, or a shelved one
+    usual_command: float | None = None  # usual command of an actuator: a loss is given as a share of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,18 +67,18 @@ class VehicleHealth:
 
     name: str
     state: VehicleState  # as in its status topic
-    blind: str | None = None  # what of it is not watched although it flies, and why; None where all is
-    impostor: str | None = None  # what says that another sender speaks in its name; None where nothing does
-    messages: int = 0  # messages that its pipeline took
+    blind: str | None = None  # what is not watched although it flies, and why; None: everything is watched
+    impostor: str | None = None  # evidence that another sender uses its id; None: no evidence
+    messages: int = 0  # messages that its pipeline processed
     dropped: int = 0  # messages for it that were dropped before
     events: int = 0
     active: Mapping[str, int] = field(default_factory=dict)  # active alarms by severity
     observers: tuple[ObserverHealth, ...] = ()
     channels: tuple[ChannelHealth, ...] = ()
-    # from arrival of a message to what follows from it, over the last interval
+    # from the arrival of a message to its result, over the last interval
     latency: LatencyStatistics = field(default_factory=LatencyStatistics)
     latency_buckets: LatencyBuckets | None = None  # the same since the start
-    recorder: ArchiveStatistics | None = None  # its recording; None where nothing is recorded
+    recorder: ArchiveStatistics | None = None  # its recording; None: nothing is recorded
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,20 +88,20 @@ class LinkHealth:
     name: str  # its URL or key expression
     connected: bool = True  # whether it is open; a UDP socket always is
     messages: int = 0
-    # what was lost or refused, by reason (``lost``, ``damaged``, ``unknown`` ...)
+    # messages that were lost or refused, by reason (``lost``, ``damaged``, ``unknown`` ...)
     losses: Mapping[str, int] = field(default_factory=dict)
-    # packets missing by their sequence numbers, of each MAVLink system that lost any
+    # packets missing by their sequence numbers, for each MAVLink system that lost any
     lost_by_system: Mapping[int, int] = field(default_factory=dict)
     figures: LinkFigures = field(default_factory=LinkFigures)  # delay, jitter and lost share of the last minute
     unread: int = 0  # packets of the last minute that the kernel, or the link's queue, dropped before they were read
-    answers: bool = True  # whether its thread comes round: one that hangs reads nothing
+    answers: bool = True  # whether its thread answers: a thread that hangs reads nothing
 
 
 Figures = Callable[[str, int, int | None], LinkFigures]
 
 
 def link_health(name: str, statistics: Any, figures: Figures) -> LinkHealth:
-    """Return the health of a link from what it counted, and from its figures by name, packets received and lost."""
+    """Return the health of a link from its counts; ``figures`` gives its figures by name, packets received and lost."""
     counts = asdict(statistics)
     losses = {key: counts[key] for key in _LINK_LOSSES if key in counts}
     losses |= {key: value for key, value in counts.get("signing", {}).items() if isinstance(value, int)}
@@ -112,32 +114,32 @@ def link_health(name: str, statistics: Any, figures: Figures) -> LinkHealth:
 class ProcessHealth:
     """The process."""
 
-    loop_age_s: float = 0.0  # time since the main loop last came round, seconds
-    # messages between the links and the main loop, and the most there can be
+    loop_age_s: float = 0.0  # time since the last turn of the main loop, seconds
+    # messages between the links and the main loop, and their limit
     inbox_depth: int = 0
     inbox_capacity: int = 0
-    inbox_dropped: int = 0  # messages dropped because there were more, or they were too old
-    inbox_dropped_minute: int = 0  # those of the last minute
-    resident_bytes: int = field(default_factory=resident_bytes)  # resident memory; 0 where unknown
+    inbox_dropped: int = 0  # messages that were dropped because there were too many, or they were too old
+    inbox_dropped_minute: int = 0  # messages dropped in the last minute
+    resident_bytes: int = field(default_factory=resident_bytes)  # resident memory; 0: unknown
     cpu_s: float = field(default_factory=time.process_time)  # processor time used so far, seconds
 
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Everything at one moment."""
+    """The health of everything at one moment."""
 
     process: ProcessHealth
     vehicles: tuple[VehicleHealth, ...] = ()
     links: tuple[LinkHealth, ...] = ()
-    journal: JournalStatistics | None = None  # the journal; None where none is kept
-    outlets: tuple[OutletHealth, ...] = ()  # where notices go
+    journal: JournalStatistics | None = None  # the journal; None: there is none
+    outlets: tuple[OutletHealth, ...] = ()  # where notices are sent
 
 
 def problems(health: Health) -> list[str]:
-    """Return what keeps the monitor from doing its work now, one line each.
+    """Return what keeps the monitor from its work now, a line for each problem.
 
-    A vehicle that flies without being watched is one. One that is silent, faulty, switched off or lacks some telemetry
-    is none: alarms and its status say so.
+    A flying vehicle that is not watched is a problem. A vehicle that is silent, faulty, switched off or lacks some
+    telemetry is none: its alarms and its status report that.
     """
     found = []
     process = health.process
@@ -160,7 +162,7 @@ def problems(health: Health) -> list[str]:
 
 
 def troubles(health: Health) -> list[str]:
-    """Return those of them that concern all vehicles, for the status of each."""
+    """Return the problems that concern all vehicles, for the status of each."""
     found = [f"link {link.name} does not answer" for link in health.links if not link.answers]
     late = {link.name: link.figures.delay_s or 0.0 for link in health.links}
     found += [f"telemetry of {link} comes {s:.1f} s late by its own clock" for link, s in late.items() if s > LATE_S]
@@ -174,7 +176,7 @@ def troubles(health: Health) -> list[str]:
 
 
 def health_json(health: Health) -> dict[str, Any]:
-    """Return what ``/healthz`` answers."""
+    """Return the answer of ``/healthz``."""
     found = problems(health)
     return {
         "status": "trouble" if found else "ok",

@@ -1,7 +1,7 @@
-"""Bounded queues between the links' threads and the monitor, one for each sender: what is too much or too old goes.
+"""Bounded queues between the links' threads and the monitor, one for each sender.
 
-So one vehicle that floods, or a monitor that cannot keep up, costs what it must, counted, and nothing that is a second
-old is looked at any more: a monitor that shows the past as the present is worse than one with gaps.
+Messages that are too many or too old are dropped and counted. So a vehicle that floods costs only itself, and a monitor
+that cannot keep up never processes messages older than a second: showing the past as the present is worse than gaps.
 """
 
 from __future__ import annotations
@@ -19,29 +19,32 @@ from adapters.link_figures import LinkFigures, LinkMeter
 from adapters.message import Message
 
 _POLL_S = 0.2
-"""How long a link waits for telemetry before its thread looks whether it is to end; closing waits that long."""
+"""How long a link waits for telemetry before its thread checks whether it is to end; closing waits as long."""
 _STUCK_S = 5.0
-"""A link comes back every 0.2 s, or after a connection attempt of 1 s: longer than this it hangs."""
+"""A link returns every 0.2 s, or after a connection attempt of 1 s: after this time it counts as hanging."""
 _COLLECTED_S = 0.1
-"""How long links collect what comes while the loop is behind: few large batches cost less than many small ones. Chosen:
-less than half of what ``datagrams.pyx`` waits for its reader."""
+"""How long links collect messages while the loop lags: few large batches cost less than many small ones. Chosen: less
+than half of what ``datagrams.pyx`` waits for its reader."""
 _AFTER_ERROR_S = 0.2
-"""Chosen: a link that fails at once again does not fill the log or a core."""
+"""Pause after an error. Chosen: a link that fails again at once fills neither the log nor a core."""
 _TURN = 1024
-"""Messages of one sender in a turn: 25 ms of work, three seconds of a vehicle. What is due in between (status,
-watchdog, election) is not held up by a backlog, nor are the others by one that floods."""
+"""Messages of one sender in a turn: 25 ms of work, three seconds of a vehicle. A backlog therefore does not delay the
+work in between (status, watchdog, election), and a sender that floods does not delay the others."""
 
 
 class Link(Protocol):
     """A source of batches."""
 
     def receive(self, timeout_s: float) -> Batch:
-        """Return what has arrived, waiting at most ``timeout_s`` for the first message; it may be empty."""
+        """Return the messages that have arrived, waiting at most ``timeout_s`` for the first.
+
+        The batch may be empty.
+        """
         ...
 
 
 class Arrival(NamedTuple):
-    """A batch and the vehicle whose own link it came over; None: of a link that vehicles share."""
+    """A batch, and the vehicle whose own link it came over; None: the link is shared."""
 
     vehicle: str | None
     batch: Batch
@@ -49,34 +52,35 @@ class Arrival(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class InboxStatistics:
-    """What went through an inbox so far."""
+    """Counts of an inbox since the start."""
 
     arrived: int  # messages put in
-    dropped: int  # those among them that were dropped because the monitor did not keep up
+    dropped: int  # messages dropped because the monitor did not keep up
     waiting: int  # messages in it now
-    errors: int  # exceptions of links; they went on afterwards
+    errors: int  # exceptions of links, which went on afterwards
 
 
 OLDEST_S = 1.0
-"""What has waited longer, here or in the kernel, is dropped by a monitor that watches, and a round of all senders is to
-take no longer. Chosen: half of what an operator may be told late."""
+"""A live monitor drops messages that have waited for longer, here or in the kernel; a round of all senders is to take
+no longer. Chosen: half of what an operator may be told late."""
 _LEAST_KEPT_S = 0.05
-"""What of a sender is always kept of a round. Chosen: two batches of 20 ms and a half."""
+"""Time of a round of which a sender's messages are always kept. Chosen: two and a half batches of 20 ms."""
 _SIGN_OF_LIFE_S = 0.5
-"""Of what is dropped for its age a message is kept so often, so that telemetry that had to wait is not taken for
-silence, which begins at ``stale_s``, a second at least."""
+"""Of the messages that are dropped for their age, one is kept this often, so that telemetry that had to wait is not
+taken for silence, which begins at ``stale_s``, a second at least."""
 _MOST_BYTES = 1 << 26
-"""Memory of all that waits: 64 MB, ten times what 20,000 messages of MAVLink take."""
+"""Memory of all waiting messages: 64 MB, ten times what 20,000 messages of MAVLink take."""
 _TURN_BYTES = 1 << 22
-"""Memory after which a turn ends, too: 4 MB, of JSON in some 0.1 s."""
+"""Memory after which a turn ends: 4 MB, some 0.1 s of JSON."""
 _LONGEST_WAIT_S = 10.0
-"""A message that seems to have waited longer in the kernel came before the clock was set."""
+"""A message that seems to have waited for longer in the kernel came before the clock was set."""
 _MOST_SENDERS = 512
-"""Twice the system ids of MAVLink; names of vehicles with a link of their own come from the configuration."""
+"""Most senders: twice the system ids of MAVLink. Names of vehicles with a link of their own come from the
+configuration."""
 
 
 class _Waiting(NamedTuple):
-    """A batch that waits: since when by the monotonic clock, and its memory."""
+    """A waiting batch: since when by the monotonic clock, and its memory."""
 
     since_s: float
     size: int
@@ -84,7 +88,7 @@ class _Waiting(NamedTuple):
 
 
 class _Queue:
-    """What waits of one sender."""
+    """The waiting batches of one sender."""
 
     def __init__(self) -> None:
         self.entries: deque[_Waiting] = deque()
@@ -109,8 +113,9 @@ class _Queue:
 class Inbox:
     """Collects the batches of all links, each sender's in the order in which they arrive.
 
-    ``limit`` messages wait in all at most, and 64 MB: of more the sender with the most loses its oldest. What has
-    waited for more than ``oldest_s`` seconds is dropped when its turn comes; None drops nothing for its age.
+    At most ``limit`` messages and 64 MB wait in all; if there is more, the sender with the most loses its oldest.
+    Messages that have waited for more than ``oldest_s`` seconds are dropped when their sender has its turn; None drops
+    none for its age.
     """
 
     def __init__(self, limit: int, oldest_s: float | None = None) -> None:
@@ -128,9 +133,9 @@ class Inbox:
         self._waiting = self._arrived = self._dropped = self._errors = 0
 
     def listen(self, name: str, link: Link, vehicle: str | None = None) -> None:
-        """Read a link in a thread of its own until the inbox is closed; closing the link afterwards is the caller's.
+        """Read a link in a thread of its own until the inbox is closed; the caller closes the link afterwards.
 
-        ``name`` is the link's for :meth:`stuck`, ``vehicle`` the name of the vehicle whose own link it is.
+        ``name`` is the link's name in :meth:`stuck`, ``vehicle`` the name of the vehicle whose own link it is.
         """
         thread = threading.Thread(target=self._read, args=(name, link, vehicle), name=f"link {name}", daemon=True)
         self._threads.append(thread)
@@ -139,7 +144,7 @@ class Inbox:
         thread.start()
 
     def figures(self, name: str, received: int, lost: int | None) -> LinkFigures:
-        """Return what a link does to its telemetry, having numbered and ``lost`` so many packets."""
+        """Return a link's figures, given the number of packets received and of those ``lost`` by their numbers."""
         meter = self._meters.get(name)
         return LinkFigures() if meter is None else meter.figures(received, lost)
 
@@ -167,9 +172,10 @@ class Inbox:
             self._changed.notify()
 
     def take(self, timeout_s: float) -> list[Arrival]:
-        """Return what waits of the sender whose turn it is, in order, waiting at most ``timeout_s`` for any.
+        """Return the waiting messages of the sender whose turn it is, in order.
 
-        About 1024 messages at most; what is left waits until all others have had their turn.
+        Wait at most ``timeout_s`` for any. Return about 1024 messages at most; the rest waits until all others have had
+        their turn.
         """
         with self._changed:
             if not self._waiting:
@@ -196,7 +202,7 @@ class Inbox:
         return entry
 
     def _drop(self, queue: _Queue, excess: int) -> None:
-        """Drop the oldest batch of a queue, or so many of its messages."""
+        """Drop the oldest batch of a queue, or ``excess`` of its messages."""
         entry = self._next(queue)
         batch = entry.arrival.batch
         self._dropped += min(excess, batch.count)
@@ -210,10 +216,10 @@ class Inbox:
             self._size += kept.size
 
     def _shed(self, queue: _Queue, oldest_s: float) -> list[Arrival]:
-        """Drop what is too old; return the messages of it that are kept as signs of life.
+        """Drop messages that are too old; return those that are kept as signs of life.
 
-        What waits came since the sender's turn before. Where two were longer ago than ``oldest_s``, one after the
-        other, less of each sender is kept, so that the next round takes as long.
+        All waiting messages arrived since the sender's previous turn. If two turns in a row were longer ago than
+        ``oldest_s``, less of each sender is kept, so that the next round takes at most ``oldest_s``.
         """
         now_s = time.monotonic()
         before_s, queue.waited_s = queue.waited_s, max(now_s - queue.entries[0].since_s, _LEAST_KEPT_S)
@@ -235,13 +241,13 @@ class Inbox:
         return not self._waiting
 
     def stuck(self) -> tuple[str, ...]:
-        """Return the names of links whose thread has not come back for 5 s."""
+        """Return the names of links whose thread has not answered for 5 s."""
         now = time.monotonic()
         return tuple(name for name, at in self._answered.items() if now - at > _STUCK_S)
 
     @property
     def unread_s(self) -> float:
-        """Seconds since which telemetry may wait in a link unread, those that do not answer left out."""
+        """Seconds for which telemetry may have waited unread in a link; links that hang are left out."""
         now = time.monotonic()
         return max((now - at for at in self._answered.values() if now - at <= _STUCK_S), default=0.0)
 
@@ -250,7 +256,7 @@ class Inbox:
         return InboxStatistics(self._arrived, self._dropped, self._waiting, self._errors)
 
     def close(self) -> None:
-        """Stop reading; what waits stays."""
+        """Stop reading; waiting messages stay."""
         self._closed = True
         for thread in self._threads:
             thread.join(2 * _POLL_S + 1.0)
@@ -262,11 +268,11 @@ class Inbox:
                 self._meters[name].count(batch)
                 self.put(batch, vehicle)
                 if self._waiting > batch.count:
-                    # Not for what was put just now: it is taken while the link waits for more.
+                    # Not for the batch of just now: the loop takes it while the link waits for more.
                     with self._emptied:
                         self._emptied.wait_for(lambda: self._closed or not self._waiting, _COLLECTED_S)
             except Exception:
-                # Whatever a link meets, monitoring of the others goes on.
+                # Whatever happens to a link, monitoring of the others goes on.
                 self._errors += 1
                 logging.getLogger(__name__).exception("link %s failed; it is read again", name)
                 time.sleep(_AFTER_ERROR_S)
@@ -274,7 +280,7 @@ class Inbox:
 
 
 def _waited_s(batch: Batch) -> float:
-    """Return for how long the first message of a batch has waited in the kernel, seconds."""
+    """Return how long the first message of a batch has waited in the kernel, seconds."""
     first_ns = min(
         *(int(columns.received_ns[0]) for columns in batch.columns),
         *(message.received_ns for message in batch.others.values()),
@@ -286,7 +292,7 @@ def _waited_s(batch: Batch) -> float:
 
 
 def _by_sender(batch: Batch) -> list[tuple[int | None, Batch]]:
-    """Return the parts of a batch by system id; None stands for sources without."""
+    """Return the parts of a batch by system id; None is for sources without ids."""
     systems = set(map(sender_of, batch.entries))
     if len(systems) == 1:
         return [(systems.pop(), batch)]

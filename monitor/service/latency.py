@@ -1,4 +1,4 @@
-"""How long what arrives takes to have its consequences: quantiles of late, and a histogram since the start."""
+"""Time from the arrival of messages to their results: quantiles of late, and a histogram since the start."""
 
 from __future__ import annotations
 
@@ -9,28 +9,30 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 _LARGEST_NS = (1 << 40) - 1
-"""18 minutes: what is later counts as this late."""
+"""Largest latency: 18 minutes; a larger one counts as this one."""
 _BOUNDS = range(14, 35)
-"""Powers of two of a nanosecond that Prometheus counts by: from 16 us to 17 s."""
+"""Bounds of the histogram: powers of two of a nanosecond, from 16 us to 17 s."""
 _KEPT = 1 << 16
-"""Latencies of an interval that are kept. Chosen: ten times what a second of one vehicle's flood has."""
+"""Latencies of an interval that are kept. Chosen: ten times as many as a second of one vehicle's flood has."""
 
 
 _STEP_NS = 1_000_000_000
-"""Unix time that moves by more against the monotonic clock was set. Chosen: from there on a monitor is said to lag."""
+"""If Unix time moves by more than this against the monotonic clock, it was set. Chosen: a monitor that is later by this
+much is reported as lagging."""
 _SET_NS = 60_000_000_000
-"""So long what arrived before the clock was set may still wait: six times what a link believes of the kernel."""
+"""How long messages that arrived before the clock was set may still wait: six times what a link accepts as the kernel's
+delay."""
 
 
 class ArrivalClock:
-    """Tells how long ago messages arrived, also those that came before Unix time was set."""
+    """Tells how long ago messages arrived, also those that arrived before Unix time was set."""
 
     def __init__(self) -> None:
         self._ahead_ns = self._before_ns = time.time_ns() - time.monotonic_ns()
         self._set_ns = 0
 
     def ages_ns(self, received_ns: Sequence[int]) -> list[int]:
-        """Return the ages of messages by Unix times of arrival, each by the clock that makes it the younger one."""
+        """Return the ages of messages from their Unix times of arrival, each by the clock that makes it younger."""
         steady_ns = time.monotonic_ns()
         before_ns, self._ahead_ns = self._ahead_ns, time.time_ns() - steady_ns
         if abs(self._ahead_ns - before_ns) > _STEP_NS:
@@ -43,7 +45,7 @@ class ArrivalClock:
 
 @dataclass(frozen=True, slots=True)
 class LatencyStatistics:
-    """Median, 99th percentile and largest of some latencies, seconds; 0 where there are none."""
+    """Median, 99th percentile and largest of some latencies, seconds; 0 if there are none."""
 
     p50_s: float = 0.0
     p99_s: float = 0.0
@@ -52,17 +54,17 @@ class LatencyStatistics:
 
 @dataclass(frozen=True, slots=True)
 class LatencyBuckets:
-    """A cumulative histogram as Prometheus knows it."""
+    """A cumulative histogram as Prometheus defines it."""
 
     bounds_s: tuple[float, ...]  # upper bounds, seconds, without the last (infinity)
-    counts: tuple[int, ...]  # how many latencies are below each bound; one more entry for all of them
+    counts: tuple[int, ...]  # number of latencies below each bound; one more entry for all of them
     sum_s: float  # sum of all latencies, seconds
 
 
 class Latencies:
-    """Latencies since the start, by size, and those of the last interval; of many more than 65,536 the latest.
+    """Latencies since the start, by size, and those of the last interval (the latest 65,536 at most).
 
-    One thread adds and ends intervals; others may read.
+    One thread adds latencies and ends intervals; other threads may read.
     """
 
     def __init__(self) -> None:
@@ -72,20 +74,23 @@ class Latencies:
         self.interval = LatencyStatistics()
 
     def add(self, latencies_ns: Iterable[int]) -> None:
-        """Count latencies, nanoseconds; below zero (a clock was set back) one counts as zero, above 18 min as that."""
+        """Count latencies, nanoseconds.
+
+        A negative one (a clock was set back) counts as zero, one above 18 min as 18 min.
+        """
         for latency_ns in (min(max(given, 0), _LARGEST_NS) for given in latencies_ns):
             self._counts[min(max(latency_ns.bit_length() - _BOUNDS[0], 0), len(_BOUNDS))] += 1
             self._sum_ns += latency_ns
             self._latest.append(latency_ns)
 
     def end_interval(self) -> LatencyStatistics:
-        """Return the statistics since the last call, ``interval`` from now on, and begin the next interval."""
+        """Return the statistics since the last call, which becomes the last interval, and begin the next one."""
         self.interval = self.statistics()
         self._latest.clear()
         return self.interval
 
     def statistics(self) -> LatencyStatistics:
-        """Return the statistics of the interval that goes on."""
+        """Return the statistics of the current interval."""
         ordered = sorted(self._latest)
         if not ordered:
             return LatencyStatistics()

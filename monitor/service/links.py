@@ -1,4 +1,4 @@
-"""Open the links that a configuration names, and say which of them bring nothing."""
+"""Open the links that a configuration names, and report those that bring nothing."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ if TYPE_CHECKING:
     import zenoh
 
 _FIRST_NS = 5_000_000_000
-"""Silence after which a link is reported: every vehicle sends a heartbeat a second, and discovery takes a few."""
+"""Silence after which a link is reported: every vehicle sends a heartbeat a second, and discovery takes a few
+seconds."""
 
 
 class Counting(Link, Protocol):
-    """A link that says what went through it."""
+    """A link that counts its messages."""
 
     def statistics(self) -> Any: ...  # noqa: D102
 
 
 class OpenedLink(NamedTuple):
-    """An open link under its name in the configuration, and the vehicle whose own it is."""
+    """An open link under its name in the configuration, and the vehicle whose own link it is."""
 
     name: str
     link: Counting
@@ -37,9 +38,9 @@ class OpenedLink(NamedTuple):
 
 
 def signing_guard(config: Config) -> SigningGuard | None:
-    """Return what verifies the signatures of all links, None where there is no key.
+    """Return the guard that verifies the signatures of all links, or None if there is no key.
 
-    Raises TelemetryError where the key cannot be used.
+    Raises TelemetryError if the key cannot be used.
     """
     signing, journal = config.signing, config.journal.path
     if signing.key_file is None:
@@ -51,9 +52,9 @@ def signing_guard(config: Config) -> SigningGuard | None:
 def open_links(
     config: Config, session: zenoh.Session | None, stack: ExitStack, guard: SigningGuard | None
 ) -> list[OpenedLink]:
-    """Open all links of a configuration, those over Zenoh where there is a session; nothing reads them yet.
+    """Open all links of a configuration, and those over Zenoh if there is a session; nothing reads them yet.
 
-    Raises UsageError or TelemetryError where a link, the signing key or a message definition cannot be used.
+    Raises UsageError or TelemetryError if a link, the signing key or a message definition cannot be used.
     """
     batch_s = config.batch_ms / 1e3
     key = None if config.signing.key_file is None else read_key(config.signing.key_file)
@@ -74,7 +75,7 @@ def open_links(
 
 
 def _requests(config: Config, key: SigningKey | None) -> RateRequests | None:
-    """Return the requests for message rates of a link, where the config allows them."""
+    """Return the requests for message rates of a link, if the configuration allows them."""
     send = config.send
     if not (send.allow and send.rates):
         return None
@@ -89,7 +90,7 @@ def _requests(config: Config, key: SigningKey | None) -> RateRequests | None:
 
 
 class FirstLook:
-    """Says once which links have brought nothing in their first seconds: a wrong port looks like a quiet vehicle."""
+    """Reports once which links brought nothing in their first seconds: a wrong port looks like a quiet vehicle."""
 
     def __init__(self, links: Mapping[str, Any], log: ServiceLog) -> None:
         self._links = links
@@ -97,7 +98,7 @@ class FirstLook:
         self._due_ns: int | None = 0
 
     def turn(self, steady_ns: int) -> None:
-        """Look once, when it is due by the monotonic clock."""
+        """Look once, as soon as it is due by the monotonic clock."""
         if self._due_ns is None or steady_ns < self._due_ns:
             return
         if self._due_ns == 0:

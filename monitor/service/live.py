@@ -1,4 +1,4 @@
-"""Set up the daemon: Zenoh session, journal, links, vehicles, signals; and take it down in order."""
+"""Set up the daemon (Zenoh session, journal, links, vehicles, signals), and shut it down in order."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ if TYPE_CHECKING:
     from monitor.views.live_view import LiveView
 
 _SYNC_S = 1.0
-"""Chosen: what a crash costs of the signatures' time stamps."""
+"""Chosen: a crash loses at most this much of the signatures' time stamps."""
 _FINISH_S = 1.0
-"""For what still waits at the end: a monitor that could not keep up may have more than there is time for."""
+"""Time for the messages that still wait at the end: a monitor that could not keep up may have too many of them."""
 
 
 def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool = False, refuse: bool = False) -> int:
     """Monitor vehicles until SIGINT or SIGTERM; return the exit status, 130 after SIGINT.
 
     ``read_again`` reads the configuration anew when SIGHUP asks for it; ``as_json`` asks for log lines as JSON objects,
-    whatever the configuration says. With ``refuse`` it ends where the first vehicle to say what it is says it is
-    another than its profile's; without, such a vehicle is not watched, its status says so, and the daemon goes on.
+    whatever the configuration says. With ``refuse`` the daemon ends if the first vehicle that identifies itself is not
+    the profile's. Without, such a vehicle is not watched, its status says so, and the daemon goes on.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         A profile, a link, a file or the session cannot be used; or, with ``refuse``, the vehicle is another.
     """
     json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
-    # signals first: the default action of SIGHUP is to end a process
+    # signals first: the default action of SIGHUP ends a process
     with ExitStack() as stack, caught_signals() as received:
         log = ServiceLog(as_json or json_lines)
         stack.callback(log.close)
@@ -66,7 +66,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         stack.callback(notifier.close)
         station.announce()
         notifier.ready(f"monitoring {len(station.services)} vehicles")
-        # What is kept for weeks need not be searched for garbage again and again, which takes longer than an alarm.
+        # Objects that live for weeks need no repeated search for garbage, which takes longer than an alarm.
         gc.collect()
         gc.freeze()
         watchdog = Watchdog()
@@ -97,7 +97,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
 def _open_station(
     config: Config, read_again: Callable[[], Config], inbox: Inbox, log: ServiceLog, stack: ExitStack
 ) -> tuple[Station, dict[str, Counting]]:
-    """Open what vehicles are watched with, and the links they come over, by name."""
+    """Open everything that vehicles are watched with, and their links by name."""
     session = stack.enter_context(open_session(config.connect, config.listen, config.zenoh_config, config.zenoh_mode))
     journal = _open_journal(config, log, stack)
     guard = signing_guard(config)
@@ -122,20 +122,20 @@ def _open_station(
 
 @dataclass(slots=True)
 class _Turns:
-    """What the daemon does in each turn beside its vehicles: signals, status, signs of life."""
+    """The daemon's work in each turn beside its vehicles: signals, status, signs of life."""
 
-    received: Sequence[int]  # signals so far
+    received: Sequence[int]  # signals received so far
     station: Station
     inbox: Inbox
     notifier: Notifier
     watchdog: Watchdog
     first_look: FirstLook
-    undecided: bool  # whether the first vehicle that says what it is may still end the daemon
-    other: str | None = None  # what says that it is another than its profile's
+    undecided: bool  # whether the first vehicle that identifies itself may still end the daemon
+    other: str | None = None  # why it is not the profile's vehicle
     handled: int = 0  # signals
 
     def turn(self, steady_ns: int) -> bool:
-        """Do it; return whether to go on."""
+        """Do the work of a turn; return whether to go on."""
         new = self.received[self.handled :]
         self.handled += len(new)
         reloads = self.station.reloads
@@ -159,7 +159,7 @@ class _Turns:
 def _open_journal(config: Config, log: ServiceLog, stack: ExitStack) -> BackgroundJournal | None:
     if config.journal.path is None:
         return None
-    # where it cannot be made the journal says what is wrong
+    # if the folder cannot be made, the journal reports why
     with contextlib.suppress(OSError):
         config.journal.path.parent.mkdir(parents=True, exist_ok=True)
     journal = Journal(config.journal.path, config.journal.max_events)
@@ -185,7 +185,7 @@ def _each_second(work: Callable[[], None], name: str, stack: ExitStack) -> None:
 
 
 def _open_messengers(config: Config, log: ServiceLog, stack: ExitStack) -> tuple[GroundSender | None, list[Messenger]]:
-    """Open what tells people of alarms: the ground station, if any, and all that send notices."""
+    """Open the messengers: the ground station, if any, and everything else that sends notices of alarms."""
     notify, station = config.notify, config.ground_station
 
     def on_failure(outlet: str, reason: str | None) -> None:
@@ -209,7 +209,7 @@ def _open_messengers(config: Config, log: ServiceLog, stack: ExitStack) -> tuple
 
 
 def _open_views(config: Config, log: ServiceLog, stack: ExitStack) -> list[LiveView]:
-    """Open the views of the configuration; where one cannot be shown, monitoring continues without it."""
+    """Open the views of the configuration; if a view cannot be shown, monitoring continues without it."""
     if config.rerun.mode == "off":
         return []
     from monitor.views.live_view import LiveView

@@ -1,7 +1,7 @@
-"""Log lines on stderr: for people on a terminal, JSON lines otherwise; rate-limited, and never in the monitor's way.
+"""Log lines on stderr: readable on a terminal, JSON lines otherwise; limited in rate, and never blocking the monitor.
 
-Built on :mod:`logging`; what libraries log comes out in the same form. A line that cannot be written (stderr closed,
-disk full, a pipe that nobody reads) is dropped and counted.
+Built on :mod:`logging`; lines of libraries have the same form. A line that cannot be written (stderr closed, disk full,
+a pipe that nobody reads) is dropped and counted.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from monitor.event import AlarmEvent
 Level = Literal["debug", "info", "warning", "error"]
 
 BURST = 10
-"""Lines of one name that pass at once; then one a second. Chosen: an error with its consequences passes whole."""
+"""Lines of one name that are written at once; then one a second. Chosen: enough for an error with its consequences."""
 MAX_NAMES = 1000
-"""Names may come from the network: the memory for them has to end."""
+"""Most names that are remembered: names may come from the network."""
 MAX_TEXT = 400
-"""Letters of a value. Chosen: longer than any of our own, short enough for a line of a log."""
+"""Most letters of a value. Chosen: longer than any value of ours, short enough for a line of a log."""
 
 _REFILL_NS = 1_000_000_000
-"""Of one more line for a name whose burst is used up."""
+"""Time for one more line of a name that has used up its burst."""
 _RESERVED = ("time_ns", "level", "event", "suppressed")
 
 
 @dataclass(slots=True)
 class ServiceLogStatistics:
-    """What became of the lines."""
+    """Counts of the lines."""
 
     written: int = 0
     suppressed: int = 0  # lines left out because there were too many of their name
@@ -45,12 +45,11 @@ class ServiceLogStatistics:
 class ServiceLog:
     """The daemon's log; one per process.
 
-    Of each event name, and of each alarm channel, ten lines come at once and then one a second; the next line that
-    comes says how many did not. Lines are JSON objects (``time_ns``, ``level``, ``event`` and its fields), or for
-    people, without control characters: what came over a network shall not drive the terminal.
-
-    They go to ``stream``; None takes ``sys.stderr`` as it is at the time. ``clock`` gives the rate limit's monotonic
-    time in nanoseconds.
+    Ten lines of each event name, and of each alarm channel, are written at once, then one a second; the next line
+    states how many were left out. Lines are JSON objects (``time_ns``, ``level``, ``event`` and its fields), or text
+    for people. That text has no control characters: input from a network must not control the terminal. ``stream``
+    receives the lines; None takes the current ``sys.stderr``. ``clock`` gives the monotonic time of the rate limit in
+    nanoseconds.
     """
 
     def __init__(
@@ -62,7 +61,7 @@ class ServiceLog:
         logging.getLogger().addHandler(self._handler)
 
     def say(self, name: str, *, level: Level = "info", **details: Any) -> None:
-        """Write a line: what happened, in a word or two, how bad it is, and its fields."""
+        """Write a line: an event in a word or two, its level, and its fields."""
         self._write(name, level, name, details, None)
 
     def event(self, event: AlarmEvent) -> None:
@@ -79,7 +78,7 @@ class ServiceLog:
         return replace(self._handler.counts)
 
     def close(self) -> None:
-        """Take the log out of :mod:`logging`; the stream stays open."""
+        """Remove the log from :mod:`logging`; the stream stays open."""
         self._logger.removeHandler(self._handler)
         logging.getLogger().removeHandler(self._handler)
 
@@ -93,11 +92,11 @@ class _RateLimit:
 
     def __init__(self, clock: Callable[[], int]) -> None:
         self._clock = clock
-        # name: tokens in nanoseconds of refilling, when they were counted, lines left out since the last that came
+        # for each name: tokens in nanoseconds of refilling, when they were counted, lines left out since the last line
         self._buckets: dict[str, tuple[int, int, int]] = {}
 
     def admit(self, name: str) -> int | None:
-        """Return how many lines of a name were left out before this one, None where it is to be left out too."""
+        """Return how many lines of a name were left out before this one, or None if this one is left out, too."""
         now = self._clock()
         tokens, counted, left_out = self._buckets.pop(name, (BURST * _REFILL_NS, now, 0))
         tokens = min(tokens + now - counted, BURST * _REFILL_NS)
@@ -111,7 +110,7 @@ class _RateLimit:
 
 
 class _Handler(logging.Handler):
-    """Formats records and writes them where that neither raises nor waits."""
+    """Formats records and writes them, without raising and without waiting."""
 
     def __init__(self, as_json: bool, stream: TextIO | None, limit: _RateLimit) -> None:
         super().__init__()
@@ -121,7 +120,7 @@ class _Handler(logging.Handler):
         self._limit = limit
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a record, or count why not."""
+        """Write a record, or count why it was not written."""
         try:
             left_out = self._limit.admit(getattr(record, "limited_by", record.name))
             if left_out is None:
@@ -129,14 +128,14 @@ class _Handler(logging.Handler):
                 return
             _write(self._stream or sys.stderr, self._format(record, left_out) + "\n")
         except Exception:
-            # whatever the stream or a field did: the log is no reason to stop monitoring
+            # whatever the stream or a field did: a failing log must not stop monitoring
             self.counts.dropped += 1
         else:
             self.counts.written += 1
 
 
 def _write(stream: TextIO, line: str) -> None:
-    """Write a line unless that would wait for a reader: raise OSError or ValueError where it cannot be written."""
+    """Write a line if that does not wait for a reader; raise OSError or ValueError if it cannot be written."""
     if not _ready(stream):
         raise BlockingIOError("nobody reads")
     stream.write(line)
@@ -144,7 +143,7 @@ def _write(stream: TextIO, line: str) -> None:
 
 
 def _ready(stream: TextIO) -> bool:
-    """Return whether a stream has room for a page, so for a line (POLLOUT in pipe(7)); true of what is no file."""
+    """Return whether a stream has room for a page, so for a line (POLLOUT in pipe(7)); True if it is no file."""
     try:
         descriptor = stream.fileno()
     except (OSError, ValueError):
@@ -160,7 +159,7 @@ def _json_line(record: logging.LogRecord, left_out: int) -> str:
     line |= {key: _plain(value) for key, value in details.items() if key not in _RESERVED}
     if left_out:
         line["suppressed"] = left_out
-    # ASCII, so no control character of any kind; the one that is ASCII is escaped too
+    # JSON in ASCII, so without control characters but DEL, which is escaped here
     return json.dumps(line).replace("\x7f", "\\u007f")
 
 
@@ -187,7 +186,7 @@ def _content(record: logging.LogRecord) -> tuple[str, Mapping[str, Any]]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON can hold it: no NaN, no texts of any length."""
+    """Return a value as JSON can hold it: no NaN, and texts of limited length."""
     if isinstance(value, Mapping):
         return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

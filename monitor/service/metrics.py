@@ -1,4 +1,4 @@
-"""The daemon's health as Prometheus metrics: one table says name, type, labels and where each value comes from."""
+"""The daemon's health as Prometheus metrics, from one table of name, type, labels and source of each value."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from monitor.service.health import Health, LinkHealth, VehicleHealth, VehicleSta
 
 @dataclass(frozen=True, slots=True)
 class MetricRow:
-    """One metric: by the conventions of Prometheus a counter where its name ends in ``_total``."""
+    """One metric; by Prometheus' conventions it is a counter if its name ends in ``_total``."""
 
     name: str
     labels: tuple[str, ...]
@@ -39,13 +39,13 @@ class MetricRow:
 
 
 def render(health: Health, accept: str = "") -> tuple[bytes, str]:
-    """Return all metrics as text and its content type: OpenMetrics for an ``Accept`` header that asks for it."""
+    """Return all metrics as text, and its content type: OpenMetrics if the ``Accept`` header asks for it."""
     encode, content_type = choose_encoder(accept)
     return encode(HealthCollector(lambda: health)), content_type
 
 
 class HealthCollector(Collector):
-    """What a registry of prometheus-client, or one of its encoders, collects metrics from."""
+    """The collector from which a registry of prometheus-client, or its encoder, takes the metrics."""
 
     def __init__(self, snapshot: Callable[[], Health]) -> None:
         self._snapshot = snapshot
@@ -78,13 +78,13 @@ def _label(text: str) -> str:
 
 
 class _Parts(NamedTuple):
-    """Parts of a snapshot of one kind, and the names of their labels."""
+    """The parts of a snapshot that are of one kind, and the names of their labels."""
 
     labels: tuple[str, ...]
     of: Callable[[Health], Iterable[tuple[tuple[str, ...], Any]]]
 
     def row(self, name: str, read: str | Callable[[Any], Any], about: str, label: str | None = None) -> MetricRow:
-        """Return the metric of an attribute of each; of a mapping each value has its key under one more label."""
+        """Return the metric of an attribute of each part; each value of a mapping has its key as one more label."""
         get = attrgetter(read) if isinstance(read, str) else read
 
         def values(health: Health) -> Iterator[tuple[tuple[str, ...], float]]:
@@ -98,7 +98,7 @@ class _Parts(NamedTuple):
 
 
 def _one_of(choices: Any, name: str) -> Callable[[Any], dict[str, float]]:
-    """Return what gives 1 for the choice that a part's attribute is, 0 for the others."""
+    """Return series that are 1 for the value of a part's attribute and 0 for the other choices."""
     return lambda part: {choice: float(getattr(part, name) == choice) for choice in get_args(choices)}
 
 
@@ -144,7 +144,7 @@ _CHANNEL = _Parts(
 
 
 def _sized(name: str) -> _Parts:
-    """Return the channels of which a size is known, with its unit."""
+    """Return the channels with a known size, with its unit."""
     return _Parts(
         (*_CHANNEL.labels, "unit"),
         lambda health: [

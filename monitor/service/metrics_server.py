@@ -14,11 +14,11 @@ from monitor.service.health import Health, health_json
 from monitor.service.metrics import render
 
 MAX_CONNECTIONS = 16
-"""Chosen: scrapers and a health check need two or three."""
+"""Most connections. Chosen: scrapers and a health check need two or three."""
 MAX_REQUEST_BYTES = 8192
-"""What web servers commonly accept as headers."""
+"""Largest request: what web servers commonly accept as headers."""
 REQUEST_S = 2.0
-"""Chosen: a scraper on any network sends its request within it."""
+"""Longest time of a request. Chosen: a scraper on any network sends its request within it."""
 
 _JSON = "application/json"
 _TEXT = "text/plain; charset=utf-8"
@@ -27,10 +27,10 @@ _TEXT = "text/plain; charset=utf-8"
 class MetricsServer:
     """Answers GET and HEAD at ``"host:port"`` until closed; each connection serves one request.
 
-    Whoever is slow, sends too much or stays connected is cut off after :data:`REQUEST_S`; connections beyond
+    A client that is slow, sends too much or stays connected is cut off after :data:`REQUEST_S`; connections beyond
     :data:`MAX_CONNECTIONS` are closed at once. ``refused`` counts both. ``snapshot`` is called in the server's thread
-    for each request; where it raises, the answer is 503. Port 0 takes a free one, which ``port`` names. Raises
-    UsageError where the address is none, or cannot be listened on.
+    for each request; if it raises, the answer is 503. Port 0 takes a free port, which ``port`` names. Raises UsageError
+    if the address is invalid, or cannot be listened on.
     """
 
     def __init__(self, address: str, snapshot: Callable[[], Health]) -> None:
@@ -68,7 +68,7 @@ class MetricsServer:
             async with asyncio.timeout(REQUEST_S):
                 head = await reader.readuntil(b"\r\n\r\n")
                 writer.write(self._answer(head.decode("latin-1")))
-                # only then is all of the answer in the system's hands
+                # only then has the system taken the whole answer
                 writer.transport.set_write_buffer_limits(high=0)
                 await writer.drain()
                 writer.close()
@@ -102,7 +102,7 @@ class MetricsServer:
             status = HTTPStatus.OK if answer["status"] == "ok" else HTTPStatus.SERVICE_UNAVAILABLE
             return status, json.dumps(answer).encode() + b"\n", _JSON
         except Exception as error:
-            # whatever it is, it is a reason to be unwell and none to stop answering
+            # whatever it is, the answer is "not well", and the server goes on
             answer = {"status": "trouble", "problems": [f"no snapshot: {type(error).__name__}: {error}"]}
             return HTTPStatus.SERVICE_UNAVAILABLE, json.dumps(answer).encode() + b"\n", _JSON
 

@@ -1,4 +1,4 @@
-"""Record live telemetry as it comes, without a profile: what a first fit is made from."""
+"""Record live telemetry as it comes, without a profile: the input of a first fit."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from monitor.service.links import FirstLook, open_links, signing_guard
 from monitor.service.log import ServiceLog
 
 _POLL_S = 0.1
-"""Chosen: how late Ctrl-C and the end of --seconds are seen."""
+"""Period at which Ctrl-C and the end of --seconds are checked: chosen."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveRecording:
-    """What was recorded."""
+    """The result of a recording."""
 
     messages: int  # messages in the file
-    names: int  # different names among them
-    systems: tuple[int, ...]  # MAVLink systems among their senders
-    seconds: float  # from the first message to the last
-    dropped: int  # messages that there was no time for
+    names: int  # different message names
+    systems: tuple[int, ...]  # MAVLink systems of the senders
+    seconds: float  # time from the first message to the last
+    dropped: int  # messages dropped because the recorder did not keep up
     unrecordable: int  # messages that no record can hold
     interrupted: bool  # whether SIGINT ended it
-    links: str  # what was listened to
+    links: str  # the links' names
 
 
 def record_live(config: Config, path: Path, seconds: float | None = None, *, as_json: bool = False) -> LiveRecording:
@@ -137,7 +137,7 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
 
 
 class _Tally:
-    """What came so far."""
+    """The counts so far."""
 
     def __init__(self) -> None:
         self.names: Counter[str] = Counter()
@@ -161,7 +161,7 @@ class _Tally:
 
 
 def _tell(text: str) -> None:
-    """Say on a terminal how far it has got, on a line that the next one wipes."""
+    """Show the progress on a terminal, on a line that the next one overwrites."""
     if sys.stderr.isatty():
         sys.stderr.write(f"\r\x1b[K{text}")
         sys.stderr.flush()
