@@ -1,10 +1,10 @@
-"""One observer of a vehicle from samples to events: gate -> estimator -> alarms.
+"""One observer of a vehicle from samples to events: gate, estimator, alarms.
 
-A sample without measurements (``measured`` of :class:`adapters.sample.Samples`) is coasted: the model goes on alone,
-the hypothesis believed stays, the uncertainty grows, and the debounce of alarms waits. After a gap that is too long for
-that the observer starts afresh, and its samples are evidence again when the effect of a wrong start on its estimates
-has died away (:mod:`monitor.estimation.affine`). A channel that is ``lost`` alone takes the evidence of those faults
-that no other output shows.
+Over a sample without measurements (``measured`` of :class:`adapters.sample.Samples`) the observer coasts: the model
+runs alone, the named hypothesis stays, the uncertainty grows, and the debounce of alarms waits. After a gap that is too
+long for that, the observer restarts. Its samples are evidence again when the effect of a wrong start on its estimates
+has decayed (:mod:`monitor.estimation.affine`). If one channel is ``lost`` alone, the faults that no other output shows
+have no evidence.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ from monitor.sampling.gate import GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
 
 _SMALLEST_FULL = 0.01
-"""Least effect of a full deflection to divide by: at a tenth of the reference speed no sample is evidence."""
+"""Smallest effect of a full deflection that is divided by: below a tenth of the reference speed no sample is
+evidence."""
 
 
 class CommandRun(NamedTuple):
@@ -55,9 +56,9 @@ class CommandRun(NamedTuple):
 
 
 class CommandUnits:
-    """Takes fault estimates of actuators from effect units to command units, at the smoothed command.
+    """Converts fault estimates of actuators from effect units to command units, at the smoothed command.
 
-    The command is smoothed like the estimates: else their ratio would mean nothing.
+    The command is smoothed like the estimates: otherwise their ratio would mean nothing.
     """
 
     def __init__(self, profile: ObserverProfile) -> None:
@@ -72,7 +73,7 @@ class CommandUnits:
         )
         self._channels = [(fault, entry) for fault, entry in enumerate(channel) if entry >= 0]
         self._curves = np.ascontiguousarray(gains.input_curves, np.float64)
-        # behind the inputs that faults scale what an index of -1 finds: none
+        # behind the inputs that faults scale: a place for the index -1, which stands for none
         scaled = [-1 if fault.input is None else fault.input for fault in profile.faults]
         self._inputs = np.array([*scaled, -1], np.intp)
 
@@ -84,7 +85,9 @@ class CommandUnits:
         evidence: NDArray[np.float64],
         sd: NDArray[np.float64],
     ) -> CommandRun:
-        """Return n samples in command units where a fault scales an input; the smoothed command restarts at its own.
+        """Return n samples in command units if a fault scales an input.
+
+        The smoothed command restarts at its own restarts.
 
         Commands ``u`` are (n, s); fault estimates, evidence and standard deviations (n, a) are in effect units.
         """
@@ -92,9 +95,9 @@ class CommandUnits:
         return CommandRun(scaled, isolated, deviation, {index: commands[entry] for index, entry in self._channels})
 
     def of_change(self, change: ChangeRun, commands: Mapping[int, NDArray[np.float64]]) -> ChangeRun:
-        """Return what is named with size, growth and sd in command units where its fault scales an input.
+        """Return named changes with size, growth and sd in command units if their fault scales an input.
 
-        ``commands`` are those of :meth:`run`.
+        ``commands`` are those that :meth:`run` returned.
         """
         inputs, command = self._inputs[change.named], np.zeros(len(change.named))
         if not (inputs >= 0).any():
@@ -109,7 +112,7 @@ class CommandUnits:
 
 
 class EffectivenessStage:
-    """Estimators of those among an observer's faults that are read against their actuators' deflection."""
+    """Estimators for those of an observer's faults that are judged by their actuators' deflection."""
 
     def __init__(
         self,
@@ -139,7 +142,7 @@ class EffectivenessStage:
     ) -> dict[int, EffectivenessRun]:
         """Process n samples; return the effectiveness of each of these faults' actuators, by index of the fault.
 
-        Samples give the commands and the effects of full deflections; ``fault`` (n, a) is in effect units, not
+        Samples hold the commands and the effects of full deflections; ``fault`` (n, a) is in effect units, not
         smoothed.
         """
         beyond = self._beyond(samples) if self._channels else np.empty(0)
@@ -159,7 +162,7 @@ class EffectivenessStage:
         }
 
     def of_change(self, change: ChangeRun, samples: Samples, effects: Mapping[int, EffectivenessRun]) -> ChangeRun:
-        """Return what is named with size and sd in full deflections, which larger errors are likelier to look like."""
+        """Return named changes with size and sd in full deflections; larger model errors raise the sd."""
         full, larger = np.ones((2, len(samples)))
         for index, _, source, _ in self._channels:
             named = change.named == index
@@ -169,10 +172,10 @@ class EffectivenessStage:
         return change._replace(size=change.size / full, sd=change.sd / full, nats=change.nats / larger**2)
 
     def _beyond(self, samples: Samples) -> NDArray[np.float64]:
-        """Return how many times larger than in the fitted flights the errors of the model may be (n,), once at least.
+        """Return how many times larger than in the fitted flights the errors of the model may be (n,), at least once.
 
-        In proportion to inputs (actuators saturate, wings stall), by the square of outputs (products of rates turn a
-        body, too).
+        They grow in proportion to inputs (actuators saturate, wings stall), and with the square of outputs (products of
+        rates turn a body, too).
         """
         inputs, outputs = (
             np.nan_to_num(np.abs(values[:, columns]) / sizes).max(axis=1, initial=1.0)
@@ -186,28 +189,29 @@ class ChainRun:
     """Estimates of one observer over n samples, and the evidence of its A alarms in them."""
 
     estimates: Estimates
-    position: NDArray[np.int64]  # place in the batch of the message that completed each sample (n,)
+    position: NDArray[np.int64]  # index in the batch of the message that completed each sample (n,)
     rows: ChainRows  # evidence, as the alarms process it
     alarms: Sequence[Alarm]  # the alarms, in the order of the evidence's columns
-    faults: Sequence[int]  # the fault of each alarm; the alarm of what no fault explains, behind them, has none
-    # by fault: what its size takes its share of (n,), where that makes sense; what tells its share in another way
+    faults: Sequence[int]  # the fault of each alarm; the last alarm, of what no fault explains, has none
+    # for each fault: the command that its size is a share of (n,), if that makes sense; or the share, if it is known in
+    # another way
     commands: Mapping[int, NDArray[np.float64]]
     effects: Mapping[int, EffectivenessRun]
-    # smoothed estimate of each fault under its own hypothesis, whichever is believed (n, a), effect units
+    # smoothed estimate of each fault under its own hypothesis, named or not (n, a), effect units
     smoothed: NDArray[np.float64]
-    unexplained: NDArray[np.float64]  # score of what no hypothesis explains (n,), zero where one does
+    unexplained: NDArray[np.float64]  # score of what no hypothesis explains (n,), zero if one does
     # how many times its threshold each fault has to reach (n, a), 1 or more, and the level of the residuals (n,)
     scale: NDArray[np.float64]
     level: NDArray[np.float64]
     sudden_sd: NDArray[np.float64] | None  # the standard deviation of a sudden change's size (n,)
-    unflown: NDArray[np.bool_] | None = None  # rows whose y is lost for being unlike the fitted flights (n,)
+    unflown: NDArray[np.bool_] | None = None  # rows whose y counts as lost because it is unlike the fitted flights (n,)
 
     def event(self, row: int, alarm: int, code: int) -> AlarmEvent:
         """Return the event that a row caused in an alarm."""
         command = relative = sd = None
         if alarm < len(self.faults):
             fault = self.faults[alarm]
-            # The estimate that raises an alarm is on its way yet, the one that clears it has no fault to tell of.
+            # The estimate still grows when it raises an alarm, and has no fault left when it clears it.
             if (effect := self.effects.get(fault)) is not None:
                 relative = effect.share
             else:
@@ -226,11 +230,11 @@ class ChainRun:
 
 
 class ObserverChain:
-    """State of one observer of one vehicle.
+    """One observer of one vehicle.
 
-    Clock and excuses (which alarms explain which) are shared by the vehicle's observers; the gate says when samples
-    count as evidence; ``sooner`` are the observers that see all of its faults sooner. ``sampler`` turns messages into
-    samples, of raw signals where a transform follows; ``gate`` says which samples are evidence.
+    Clock and excuses (which alarms explain which) are shared by the vehicle's observers. ``sampler`` turns messages
+    into samples, of raw signals if a transform follows; ``gate`` tells which samples are evidence; ``sooner`` are the
+    observers that see all of this observer's faults sooner.
     """
 
     def __init__(
@@ -281,19 +285,19 @@ class ObserverChain:
             self._excitation = ExcitationStage(profile.excitation, gains.outputs, len(gains.inputs), gains.rate_hz)
         self._actuators = {channel.name for channel in profile.faults if channel.input is not None}
         self._excuses = excuses or Excuses(())
-        # Faults first, then the alarm of what no fault explains: the order in which a row is processed.
+        # faults first, then the alarm of what no fault explains: the order in which a row is processed
         rules = sorted(profile.alarms, key=lambda rule: rule.kind == "residual")
         self._alarms = tuple(Alarm(rule, vehicle) for rule in rules)
         self._states = tuple(alarm.state for alarm in self._alarms)
         self._faults = [names.index(rule.channel) for rule in rules if rule.kind != "residual"]
-        # the share of its threshold that each fault reaches in health; those whose errors grow with what is flown
+        # the share of its threshold that each fault reaches in health; faults whose errors grow with the manoeuvres
         shares = {rule.channel: rule.healthy / rule.threshold for rule in profile.alarms if rule.threshold > 0.0}
         healthy = np.array([shares.get(name, 0.0) for name in names])
         excited = [index for index, channel in enumerate(profile.faults) if channel.kind == "actuator"]
         self._weighing = Weighing(
             self._faults, len(self._alarms), shown_in(profile.model, self.layout), healthy, excited
         )
-        # the alarm of each fault, and behind them what an index of -1 finds: no alarm
+        # the alarm of each fault, and behind them a place for the index -1: no alarm
         self._alarm_of = np.full(len(names) + 1, -1, np.intp)
         self._alarm_of[self._faults] = np.arange(len(self._faults))
         jumping = edge_faults(profile.isolation)
@@ -321,7 +325,7 @@ class ObserverChain:
         return {alarm.rule.channel: alarm.rule.threshold for alarm in self._alarms}
 
     def adopt(self, event: AlarmEvent) -> None:
-        """Go on from an alarm event that another run of the monitor, or another monitor, made."""
+        """Continue from an alarm event that an earlier run, or another monitor, has published."""
         for alarm in self._alarms:
             if alarm.rule.channel == event.channel:
                 alarm.adopt(event)
@@ -338,20 +342,22 @@ class ObserverChain:
         return any(state.active for state in self._states)
 
     def close(self, time_ns: int, vehicle_ns: int, why: str) -> list[AlarmEvent]:
-        """End all active alarms whatever their evidence says; return the events."""
+        """End all active alarms regardless of their evidence; return the events."""
         return self._close([alarm for alarm in self._alarms if alarm.state.active], time_ns, vehicle_ns, why)
 
     def restart(self, channel: str, time_ns: int, vehicle_ns: int, why: str) -> None:
-        """Begin anew without a channel's active alarm: what the estimates hold of its cause is forgotten."""
+        """Restart without a channel's active alarm: the estimates forget its cause."""
         active = [alarm for alarm in self._alarms if alarm.state.active and alarm.rule.channel == channel]
         if self._close(active, time_ns, vehicle_ns, why):
             self.sampler.restart()
 
     def distrust(self, is_forged: bool, time_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
-        """Let a second sender explain what sensors show from now on, and lately did, or no longer; return the events.
+        """Excuse the sensors' alarms because of a second sender, from now on and of late, or no longer.
 
-        An actuator's alarm is raised whoever sends: a forged command must not hide that it fails. What was learned of
-        the forged values is no truth about the vehicle: once they end all begins anew.
+        Return the events.
+
+        An actuator's alarm is raised whoever sends: a forged command must not hide that an actuator fails. What the
+        observer learned from forged values is not true of the vehicle: when they end, the observer restarts.
         """
         events: list[AlarmEvent] = []
         changed = False
@@ -374,7 +380,7 @@ class ObserverChain:
         return events
 
     def enter(self, allowed: bool) -> None:
-        """Restart at the next sample where the phase has come to allow evidence."""
+        """Restart at the next sample if the phase has come to allow evidence."""
         self._sampler.enter(allowed)
 
     def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase, batch: Batch) -> ChainRun | None:
@@ -395,26 +401,29 @@ class ObserverChain:
         if not len(given.samples):
             return None
         if not isinstance(given.rows, slice):
-            # raw samples of batches before completed nothing
+            # raw samples of earlier batches that completed nothing
             position = position[given.rows - (len(raw) - len(samples))]
         return self.estimate(given, self._sampler.admitted(given.samples, phase), position)
 
     @property
     def outside(self) -> str | None:
-        """What of the flight lies outside of those that were fitted, for people; None where nothing does."""
+        """What of the flight lies outside of the fitted flights, for people; None if nothing does."""
         stages = (self._envelope, self._excitation)
         return next((stage.outside for stage in stages if stage is not None), None)
 
     @property
     def furthest(self) -> tuple[float, str] | None:
-        """For how long, seconds, and how far all so far lay outside of the fitted flights; None where it did not."""
+        """For how long, seconds, and how far the flight so far lay outside of the fitted flights.
+
+        None if it did not.
+        """
         stages = (self._envelope, self._excitation)
         return next((stage.furthest for stage in stages if stage is not None), None)
 
     def estimate(self, given: Given, armed: NDArray[np.bool_], position: NDArray[np.int64] | None = None) -> ChainRun:
         """Process n samples (u, y) of the observer itself; use :meth:`run` for those of :attr:`sampler`.
 
-        ``armed`` says whether each is evidence (n,); ``position`` is as in :meth:`run`, None for their index.
+        ``armed`` tells whether each sample is evidence (n,); ``position`` is as in :meth:`run`, None for their index.
         """
         samples = given.samples
         if position is None:
@@ -479,7 +488,7 @@ class ObserverChain:
         if changes is not None:
             changes = known_together(changes, position)
         if changes is not None and beyond is not None:
-            # so many times larger errors are likelier to look like a fault by the square
+            # larger errors of the model make the log-likelihood of a fault smaller by their square
             changes = changes._replace(nats=changes.nats / beyond**2)
         rows = ChainRows(
             self._states,
@@ -513,14 +522,14 @@ class ObserverChain:
 
 
 def known_together(change: ChangeRun, position: NDArray[np.int64]) -> ChangeRun:
-    """Return what is named with the size that the last of the samples tells that the same message completed."""
+    """Return named changes with the size that the last of the samples of one message gives."""
     ends = np.append((np.diff(position) != 0) | (np.diff(change.named) != 0), True)
     last = np.flatnonzero(ends)[np.cumsum(ends) - ends]
     return change._replace(size=change.size[last], growth=change.growth[last], sd=change.sd[last])
 
 
 def shown_in(plant: Plant | None, layout: Layout) -> NDArray[np.bool_]:
-    """Return the outputs in which each fault shows, at once or later (a, p); all where the plant is not known."""
+    """Return the outputs in which each fault shows, at once or later (a, p); all outputs if the plant is not known."""
     shown = np.ones((len(layout.faults), len(layout.outputs)), np.bool_)
     if plant is None:
         return shown
@@ -541,7 +550,7 @@ def shown_in(plant: Plant | None, layout: Layout) -> NDArray[np.bool_]:
 def alarm_events(runs: Sequence[ChainRun], excuses: Excuses) -> list[AlarmEvent]:
     """Return the events of all of a vehicle's observers over the same messages, in the order in which they arise.
 
-    An event takes effect on what is excused in all rows after it, also those of other observers.
+    An event changes which alarms are excused in all rows after it, also those of other observers.
     """
     events = []
 

@@ -1,8 +1,8 @@
-"""A vehicle's whole pipeline: batches of messages in, estimates and alarm events out.
+"""The whole pipeline of a vehicle: batches of messages in, estimates and alarm events out.
 
-The same object serves a live link and a recording. It reads no clock: whatever it does follows from the messages
-and their times of arrival, so a recorded session replays to the same bits. Other influences are messages, too: time
-that passes, what the link found out, an operator's command, other thresholds, alarms that were active before a restart.
+The same object serves a live link and a recording. It reads no clock: its results depend only on the messages and their
+times of arrival, so a recorded session replays to the same bits. Every other influence is a message, too: the passing
+of time, findings of the link, an operator's command, other thresholds, alarms that were active before a restart.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ from monitor.sampling.supply import BATTERY_MESSAGE
 RULES = "rules"
 RESET = "reset"
 STANDING = "standing"
-"""Name of the message with the alarms that were active before; recordings hold it."""
+"""Name of the message with the alarms that were active before a restart; recordings hold it."""
 _OFFSET_LETTERS = 20
-"""Of a whole number of 64 bits with its sign."""
+"""Largest signed whole number of 64 bits."""
 _LANDED_NS = 3 * SECOND_NS
 """How long a vehicle has to be disarmed before its alarms are closed: three heartbeats, so that a forged one is
 contradicted before (:mod:`monitor.sampling.phase`)."""
@@ -60,7 +60,8 @@ _TWICE_NUMBERED = (
 _BY_TURNS = "came more often than before, with values of two senders by turns"
 _SENT_BEFORE = "brings values that it brought before, one after the other: a recorded stretch is sent again"
 _NUMBERED_NS = 10_000_000_000
-"""How long that is said after the last finding. Chosen: as long as clocks are contested (``core/sampling.pyx``)."""
+"""How long a contradiction is reported after the last finding. Chosen: as long as clocks are contested
+(``core/sampling.pyx``)."""
 
 
 # Values that overflow are discarded later; NumPy's warnings about them would fill the log.
@@ -118,7 +119,7 @@ class Pipeline:
         self._samplers = [chain.sampler for chain in self._chains]
         self._stages: list[ObserverChain | Conditions] = [*self._chains]
         if self._conditions is not None:
-            # behind those of the observers
+            # alarms of the pipeline itself; they come after those of the observers
             self._samplers.append(self._conditions.sampler)
             self._stages.append(self._conditions)
         self._wanted = frozenset[str]().union(*(chain.sampler.interests for chain in self._chains))
@@ -131,9 +132,10 @@ class Pipeline:
         self._system = profile.system if system is None else system
         self._component = component
         self._interests = self.interests
-        self._down_ns: int | None = None  # since when the vehicle reports that its flight is over
-        self._driven_ns: int | None = None  # when to compare commands with the report that it does not fly
-        self._forged: Mapping[str, str] = {}  # messages that have two senders by their values, and what says so
+        self._down_ns: int | None = None  # time since which the vehicle reports that its flight is over
+        self._driven_ns: int | None = None  # when to compare the commands with the report that it does not fly
+        # names of the messages whose values show two senders, and the sentence that says so
+        self._forged: Mapping[str, str] = {}
         self._numbered_ns = 0  # until when sequence numbers show two senders
         self._flown_ns = 0  # when it last reported to fly
         self.foreign = 0
@@ -141,7 +143,7 @@ class Pipeline:
 
     @property
     def interests(self) -> frozenset[str]:
-        """Names of the messages that matter; all others may be skipped without changing a result."""
+        """Names of the messages that matter; all other messages may be skipped without changing a result."""
         own = {SILENCE, "signing", SEQUENCE, RULES, STANDING, "ack", "shelve", "unshelve", RESET}
         return self._wanted | FlightPhase.interests | COMMANDS | own
 
@@ -157,14 +159,14 @@ class Pipeline:
 
     @property
     def thresholds(self) -> Mapping[tuple[str, str], float]:
-        """Alarm thresholds by observer and channel: two observers may watch channels of the same name."""
+        """Alarm thresholds by observer and channel: two observers may have channels of the same name."""
         return {
             (chain.layout.observer, name): size for chain in self._chains for name, size in chain.thresholds.items()
         }
 
     @property
     def channels(self) -> frozenset[tuple[str, str]]:
-        """Observer and channel of everything that can be an alarm, the desk's own left out."""
+        """Observer and channel of every possible alarm, without the desk's own."""
         link = (link_alarms.SIGNING, link_alarms.HEARTBEAT, link_alarms.IMPOSTOR, link_alarms.COMMAND)
         return frozenset(
             {(chain.layout.observer, channel) for chain in self._chains for channel in chain.channels}
@@ -179,7 +181,7 @@ class Pipeline:
 
     @property
     def blind(self) -> str | None:
-        """What of a flying vehicle is not watched, and why; None where all is."""
+        """Which parts of a flying vehicle are not watched, and why; None: all are watched."""
         if (active := self._blind.active) is not None:
             return active.message
         return f"not watched: {self.refused}" if self.refused and self._phase.armed else None
@@ -190,17 +192,17 @@ class Pipeline:
 
     @property
     def conditions(self) -> Sequence[FlightCondition]:
-        """What was seen that is no fault, in its order."""
+        """Findings that are no faults, in their order."""
         return () if self._conditions is None else tuple(self._conditions.found)
 
     @property
     def outside(self) -> list[str]:
-        """What of the flight lies outside of those that were fitted, a sentence for each observer that says so."""
+        """What of the flight lies outside of the fitted flights, a sentence for each observer that reports it."""
         return [f"{chain.layout.observer}: {text}" for chain in self._chains if (text := chain.outside) is not None]
 
     @property
     def furthest(self) -> Mapping[str, tuple[float, str]]:
-        """For how long, seconds, and how far all so far lay outside of the fitted flights, by observer."""
+        """For how long, seconds, and how far the flight so far lay outside of the fitted flights, by observer."""
         return {chain.layout.observer: far for chain in self._chains if (far := chain.furthest) is not None}
 
     @property
@@ -214,17 +216,17 @@ class Pipeline:
 
     @property
     def mismatch(self) -> str | None:
-        """What says that the vehicle is another than the profile's; None where nothing does."""
+        """What shows that the vehicle is not the profile's; None if nothing does."""
         return self._phase.reports.identity.contradiction(self.profile.identity)
 
     @property
     def identified(self) -> bool:
-        """Whether the vehicle has said anything of what it is."""
+        """Whether the vehicle has identified itself in any way."""
         return self._phase.reports.identity != Identity()
 
     @property
     def refused(self) -> str | None:
-        """Why the vehicle is not watched: what of :attr:`mismatch` nobody has forced."""
+        """Why the vehicle is not watched: the :attr:`mismatch`, unless the user has forced it."""
         return self._phase.contradiction
 
     @property
@@ -237,7 +239,7 @@ class Pipeline:
         return {chain.layout.observer: chain.sampler.statistics() for chain in self._chains}
 
     def metadata(self) -> dict[str, str]:
-        """Return what a recording says about how it was made; the clock's mapping is blank until it is known."""
+        """Return how a recording was made; the clock's mapping is blank until it is known."""
         newest_ns = self._clock.newest_ns
         offset = str(self._clock.to_unix(newest_ns) - newest_ns) if newest_ns else ""
         made = {"fauio": version("fauio"), "vehicle": self.vehicle, "profile": self.profile.digest}
@@ -246,7 +248,7 @@ class Pipeline:
     def accepts(self, message: Message | Columns) -> bool:
         """Return whether a message (or columns) comes from the monitored vehicle, or commands it.
 
-        The first to send a channel is the vehicle.
+        The first system that sends a channel becomes the vehicle.
         """
         source, is_its = message.source, message.system == self._system != 0
         if not source.has_ids or (is_its and self._component in (0, message.component)):
@@ -265,8 +267,8 @@ class Pipeline:
     def run(self, batch: Batch) -> list[Estimates | AlarmEvent]:
         """Process a batch of messages; return estimates and events.
 
-        A message that does more than bring measurements begins a segment, in which the estimates come before the
-        events. The results do not depend on how a stream is cut into batches.
+        A message that is more than a measurement begins a segment, in which the estimates come before the events. The
+        results do not depend on how a stream is cut into batches.
 
         Parameters
         ----------
@@ -280,7 +282,7 @@ class Pipeline:
         return outputs
 
     def _run_unidentified(self, batch: Batch, outputs: list[Estimates | AlarmEvent]) -> Batch:
-        """Process the messages before the one that tells the system to monitor; return the others."""
+        """Process the messages before the one that sets the system to monitor; return the others."""
         senders: list[tuple[int, Message | Columns]] = list(batch.others.items())
         senders += [(int(columns.position[0]), columns) for columns in batch.columns]
         identifying = [(index, sender) for index, sender in senders if self.identifies(sender)]
@@ -291,7 +293,7 @@ class Pipeline:
         return cut(batch, first, batch.count)
 
     def identifies(self, sender: Message | Columns) -> bool:
-        """Return whether the vehicle to monitor may be the one that sent this: one of the profile's messages."""
+        """Return whether the vehicle to monitor may have sent this: it is one of the profile's messages."""
         ours = sender.source.has_ids and sender.source.is_telemetry and self._component in (0, sender.component)
         return ours and sender.name in self._wanted and sender.system != 0
 
@@ -311,7 +313,7 @@ class Pipeline:
             index = self._run_segment(arrivals, index, message.received_ns, outputs)
 
     def _before(self, message: Message) -> list[AlarmEvent]:
-        """Return the events that the first message of a segment causes before its measurements are looked at."""
+        """Return the events that the first message of a segment causes before its measurements are processed."""
         now_ns, vehicle_ns = message.received_ns, self._clock.newest_ns
         was_grounded = self._phase.grounded
         if self._phase.armed and self._flies():
@@ -326,7 +328,7 @@ class Pipeline:
         return events
 
     def _command(self, message: Message) -> list[AlarmEvent]:
-        """Follow who commands the vehicle; one forged report that it has landed makes nobody known."""
+        """Follow who commands the vehicle; a single forged report of a landing does not make its sender a known one."""
         now_ns = message.received_ns
         sent = command_sent(message.name, message.fields, now_ns / 1e9, message.system, message.component, self._system)
         flies = self._flies() or 0 <= now_ns - self._flown_ns < _LANDED_NS
@@ -334,7 +336,10 @@ class Pipeline:
         return [event for command in found for event in self._link.commanded(command, now_ns)]
 
     def _run_segment(self, arrivals: Arrivals, start: int, start_ns: int, outputs: list[Estimates | AlarmEvent]) -> int:
-        """Process messages that only bring measurements, after what the first of them changed; return their end."""
+        """Process a segment: what its first message changed, then messages that only bring measurements.
+
+        Return its end.
+        """
         # A flood that begins in the segment lasts for flood_s.
         flood_ns = start_ns + round(self._desk.rule.flood_s * 1e9)
         shelved_ns = self._desk.due_ns
@@ -365,13 +370,13 @@ class Pipeline:
         batch = cut(arrivals.batch, start, segment.stop)
         taken = sample_batch(self._clock, self._samplers, batch, stops=True)
         if taken.used < batch.count:
-            # The clock is contested from here on, which the next message has to say.
+            # The clock is contested from here on; the next message has to report it.
             segment = reach(start + taken.used)
             batch = cut(arrivals.batch, start, segment.stop)
         for report in arrivals.reports(start + 1, segment.stop):
-            # None of them changes the phase, but another may, with them.
+            # None of these messages changes the phase alone, but they may together with another one.
             self._phase.feed(report)
-        # Its newest time before a message is the one after the message before.
+        # The newest time before a message is that after the message before it.
         if segment.carrier >= 0:
             at = segment.carrier - start
             self._stale.pass_over(segment.carried_ns, int(taken.newest_ns[at - 1]) if at else before_ns)
@@ -390,7 +395,7 @@ class Pipeline:
         return segment.stop
 
     def _follow_evidence(self, batch: Batch, runs: Sequence[ChainRun | None], received: Callable[[int], int]) -> None:
-        """Follow what evidence the messages of a segment gave."""
+        """Follow the evidence that the messages of a segment gave."""
         self._blind.receive(batch)
         idle_ns = 0
         for chain, flow, run in zip(self._chains, self._blind.flows, runs, strict=True):
@@ -404,12 +409,13 @@ class Pipeline:
             self._blind.wait_from(idle_ns)
 
     def _compare_commands(self, was_grounded: bool, now_ns: int) -> None:
-        """Follow whether the motors go on as in flight although the vehicle has reported that it does not fly any more.
+        """Follow whether the motors run as in flight although the vehicle reports that it does not fly any more.
 
-        Asked a second after the report, by when they have stopped where it is true, and every second from then on.
+        This is checked a second after the report, when the motors of a landed vehicle have stopped, and every second
+        from then on.
         """
         phase, gates = self._phase, self._gates
-        # What turns motors of the profile's vehicle may move surfaces of another.
+        # On another vehicle the same outputs may move surfaces.
         if not phase.grounded or self.mismatch is not None:
             phase.driven, self._driven_ns = False, None
             return
@@ -429,7 +435,7 @@ class Pipeline:
         self._driven_ns = now_ns + SECOND_NS
 
     def _contradict(self, now_ns: int) -> list[AlarmEvent]:
-        """Follow what arrived lately that two senders must have sent; return the events that a change causes."""
+        """Follow the latest messages that show two senders; return the events that a change causes."""
         before, split = self._forged, [(self._clock.splits, _BY_TURNS), (self._clock.repeats, _SENT_BEFORE)]
         self._forged = {n: what for found, what in split for n, until in sorted(found.items()) if now_ns < until}
         certain = self._contradictions(now_ns)
@@ -443,7 +449,7 @@ class Pipeline:
         return events
 
     def _contradictions(self, now_ns: int) -> list[str]:
-        """Return what one sender cannot have sent, a sentence each."""
+        """Return the contradictions that one sender cannot cause, a sentence each."""
         found = [CONTESTED[name] for name in self._phase.contested]
         if self._phase.driven:
             found.append("it reports that it does not fly while its motors run as in flight")
@@ -453,11 +459,11 @@ class Pipeline:
         return [*found, *(f"its {name} {what}" for name, what in self._forged.items())]
 
     def _flight(self) -> tuple[bool, bool]:
-        """Return whether evidence is expected, and whether what arrives contradicts itself."""
+        """Return whether evidence is expected, and whether the messages contradict each other."""
         return self._flies(), bool(self.contradictions)
 
     def _flies(self) -> bool:
-        """Return whether evidence is expected: in flight by what the vehicle reports, else by its commands."""
+        """Return whether evidence is expected: in flight by the vehicle's reports, or by its commands."""
         if not allows(self.profile.gate, self._phase):
             return False
         if self._phase.landed is not None:
@@ -497,7 +503,7 @@ class Pipeline:
         return self._down_ns + _LANDED_NS if is_due and self._down_ns is not None else LATEST_NS
 
     def _close_at_landing(self, now_ns: int) -> list[AlarmEvent]:
-        """Close alarms of a flight that is over: nothing tells any more whether their causes are gone."""
+        """Close the alarms of a flight that is over: nothing shows any more whether their causes are gone."""
         phase = self._phase
         is_down = phase.armed is False or (phase.armed is None and phase.landed == "ground")
         if not is_down or allows(self.profile.gate, phase):
@@ -510,8 +516,8 @@ class Pipeline:
         return [event for chain in self._chains for event in chain.close(now_ns, self._clock.newest_ns, why)]
 
     def _silence(self, now_ns: int) -> list[AlarmEvent]:
-        """Let time come to ``now_ns``, by a message or without one: live and replayed the same."""
-        # Between two flights a vehicle's own log pauses.
+        """Advance the time to ``now_ns``, with or without a message: the same live and in a replay."""
+        # A vehicle's own log pauses between two flights.
         paused = self._phase.logged and not self._flies() and self._stale.due(now_ns)
         if paused:
             self._stale.pass_over(now_ns, self._clock.newest_ns)
@@ -568,10 +574,10 @@ def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:
 def handover_message(
     alarms: Sequence[AlarmEvent], seq: int, now_ns: int, shelved: Mapping[str, int] = MappingProxyType({})
 ) -> Message:
-    """Return the message that lets a pipeline go on where another one stopped.
+    """Return the message with which a pipeline continues where another one stopped.
 
-    It holds the last event of each active alarm, the last number given to an event, and the channels
-    (``observer/channel``) that operators had shelved with the Unix times at which shelving ends.
+    It holds the last event of each active alarm, the number of the last event, and the channels (``observer/channel``)
+    that operators had shelved, with the Unix times at which shelving ends.
     """
     fields = {"seq": seq, "alarms": [event.to_json() for event in alarms], "shelved": dict(shelved)}
     return Message(JOURNAL, STANDING, now_ns, fields)
