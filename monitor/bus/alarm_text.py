@@ -11,7 +11,7 @@ from monitor.event import AlarmEvent
 def alarm_line(event: AlarmEvent) -> str:
     """Return time, vehicle, channel, state, size and message of an event in one line.
 
-    What came over a network is printed without control characters: it shall not drive the terminal.
+    Text that came over a network is printed without control characters: it must not control the terminal.
     """
     parts = (
         utc(event.time_ns),
@@ -26,7 +26,7 @@ def alarm_line(event: AlarmEvent) -> str:
 
 
 def utc(time_ns: int) -> str:
-    """Return a Unix time as ISO 8601 in UTC with milliseconds; the number itself where no calendar has it."""
+    """Return a Unix time as ISO 8601 in UTC with milliseconds; the number itself if no calendar has that time."""
     try:
         day = datetime.fromtimestamp(time_ns // 1_000_000_000, UTC)
     except (OverflowError, OSError, ValueError):

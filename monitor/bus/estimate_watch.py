@@ -1,4 +1,4 @@
-"""The latest published estimates of one or all vehicles: what an alarm's size is now, between its events."""
+"""The latest published estimates of one or all vehicles: the size of an alarm now, between its events."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ if TYPE_CHECKING:
     import zenoh
 
 MAX_OBSERVERS = 4000
-"""Keys come from the network: the memory for them has to end. Chosen: four observers of a thousand vehicles."""
+"""Most observers that are remembered, since keys come from the network. Chosen: four observers of a thousand
+vehicles."""
 
 
 class LiveSizes(NamedTuple):
-    """What is attributed to each fault channel of an observer now."""
+    """The size that is attributed to each fault channel of an observer now."""
 
     vehicle: str
     observer: str
     sizes: Mapping[str, float]
-    shares: Mapping[str, float]  # the same of motors as a share of their commands
+    shares: Mapping[str, float]  # the sizes of motors' faults as shares of their commands
 
 
 def live_shares(sizes: Mapping[str, float], commands: object) -> dict[str, float]:
-    """Return sizes of motors' faults as shares of the commands that came with them; not a number near zero command."""
+    """Return sizes of motors' faults as shares of their commands; NaN near a command of zero."""
     return {
         name: sizes[name] / command if command >= LEAST_COMMAND else math.nan
         for name, command in (commands.items() if isinstance(commands, dict) else ())
@@ -37,9 +38,9 @@ def live_shares(sizes: Mapping[str, float], commands: object) -> dict[str, float
 
 
 class EstimateWatch:
-    """Keeps the latest estimate of each observer, decoded when it is asked for; left open is the session.
+    """Keeps the latest estimate of each observer, and decodes it when asked; the session is left open.
 
-    Raises UsageError where the vehicle's name or the prefix cannot be part of a key.
+    Raises UsageError if the vehicle's name or the prefix cannot be part of a key.
     """
 
     def __init__(self, session: zenoh.Session, vehicle: str = ANY, prefix: str = "fauio") -> None:
@@ -49,7 +50,7 @@ class EstimateWatch:
         self._subscriber: Any = session.declare_subscriber(f"{self._root}/estimate/*", self._on_estimate)
 
     def take(self) -> list[LiveSizes]:
-        """Return what came since the last call."""
+        """Return the estimates that came since the last call."""
         with self._lock:
             latest, self._latest = self._latest, {}
         found = []

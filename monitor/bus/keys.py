@@ -1,4 +1,4 @@
-"""Zenoh keys of the contract: what the monitor publishes where."""
+"""Zenoh keys of the contract: where the monitor publishes what."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _FORBIDDEN = re.compile(r"[/*$?#\s]")
 
 
 def vehicle_root(prefix: str, vehicle: str) -> str:
-    """Return what a vehicle's keys begin with; :data:`ANY` stands for all vehicles.
+    """Return the beginning of a vehicle's keys; :data:`ANY` stands for all vehicles.
 
-    Raises UsageError where the prefix or the name cannot be part of a key.
+    Raises UsageError if the prefix or the name cannot be part of a key.
     """
     named = [("prefix", prefix, prefix.split("/"))]
     if vehicle != ANY:

@@ -1,4 +1,4 @@
-"""Operators' commands over Zenoh: queries on ``<root>/command/<verb>``, answered with what they changed or why not.
+"""Operators' commands over Zenoh: queries on ``<root>/command/<verb>``, answered with their effect or a refusal.
 
 Queries come on Zenoh's threads and wait in a bounded queue until the monitor's own thread has carried them out.
 """
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 VERBS = ("ack", "shelve", "unshelve", "reset")
 _WAITING = 64
-"""Commands that wait for the loop. Chosen: more than people send in the milliseconds that it takes to answer them."""
+"""Most commands that wait for the loop. Chosen: more than people send in the milliseconds until an answer."""
 _MAX_BYTES = 4096
-"""Bytes of a command. Chosen: a channel, a name and a comment have some hundreds."""
+"""Most bytes of a command. Chosen: a channel, a name and a comment have some hundreds."""
 _MAX_TEXT = 200
-"""Letters of an operator's name or comment that are kept. Chosen: two lines of a table."""
+"""Most letters of an operator's name or comment. Chosen: two lines of a table."""
 _MINUTE_NS = 60_000_000_000
 
 
@@ -38,10 +38,10 @@ class Command(NamedTuple):
 
 
 class Operators:
-    """The commands of one vehicle, of which the allowed verbs are carried out.
+    """The commands of one vehicle; only those with an allowed verb are carried out.
 
-    An alarm is shelved for ``shelve_minutes`` where the command does not say, and ``max_shelve_minutes`` at most. The
-    session is left open by :meth:`close`.
+    An alarm is shelved for ``shelve_minutes`` if the command does not say for how long, and for ``max_shelve_minutes``
+    at most. The session is left open by :meth:`close`.
     """
 
     def __init__(
@@ -65,12 +65,12 @@ class Operators:
         return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
     def message(self, command: Command, now_ns: int) -> Message:
-        """Return a command as the pipeline takes it: with the time at which shelving ends."""
+        """Return a command in the pipeline's form, with the time at which shelving ends."""
         fields = dict(command.fields)
         if command.verb == "shelve":
             minutes = fields.pop("minutes", None)
             given = isinstance(minutes, int | float) and not isinstance(minutes, bool) and minutes > 0
-            # Compared before anything is computed: a whole number may be too large for that.
+            # Compared before anything is computed: a whole number may be too large for a float.
             chosen = min(minutes, self._max_shelve_minutes) if given else self._shelve_minutes
             fields["until_ns"] = now_ns + round(chosen * _MINUTE_NS)
         return Message(OPERATOR, command.verb, now_ns, fields)
@@ -91,7 +91,7 @@ class Operators:
             command.query.reply_err(to_json({"ok": False, "error": reason}))
 
     def close(self) -> None:
-        """Take no more commands; those that wait are refused."""
+        """Refuse the commands that wait, and all later ones."""
         self._queryable.undeclare()
         for command in self.pending():
             self.refuse(command, "the monitor is stopping")
@@ -112,11 +112,11 @@ class Operators:
 
 
 def _fields(query: zenoh.Query) -> dict[str, Any] | None:
-    """Return what a command's payload says, only the known keys, None where it is no such thing."""
+    """Return the known keys of a command's payload, or None if it is no command."""
     request = None if query.payload is None or len(query.payload) > _MAX_BYTES else decode_payload(query.payload)
     if not isinstance(request, dict):
         return None
-    # Texts end up on terminals, in logs and in a database: nothing that cannot be printed gets that far.
+    # Texts are shown on terminals, in logs and in a database: unprintable characters are removed here.
     fields: dict[str, Any] = {
         key: printable(value[:_MAX_TEXT])
         for key in ("id", "channel", "by", "reason")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import zenoh
 
 MAX_PAYLOAD_BYTES = 1 << 24
-"""Chosen: the history of 4096 events, the largest answer there is, has some megabytes."""
+"""Most bytes of a payload. Chosen: the history of 4096 events, the largest answer, has some megabytes."""
 
 
 _ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",", ":"))
@@ -31,9 +31,9 @@ def to_json(payload: Mapping[str, Any] | Sequence[Any]) -> bytes:
 
 
 def estimate_json(layout: Layout, estimates: Estimates, row: int) -> dict[str, Any]:
-    """Return one of an observer's estimates as the JSON object of the contract, values by channel name."""
+    """Return one estimate of an observer as the JSON object of the contract, values by channel name."""
     u = dict(zip(layout.inputs, estimates.samples.u[row].tolist(), strict=True))
-    usual = zip(layout.faults, layout.usual_commands, strict=False)  # none where none is known
+    usual = zip(layout.faults, layout.usual_commands, strict=False)  # absent if unknown
     commands = {name: u[name] for name, command in usual if command and name in u}
     return {
         "time_ns": int(estimates.samples.time_ns[row]),
@@ -50,7 +50,7 @@ def estimate_json(layout: Layout, estimates: Estimates, row: int) -> dict[str, A
 
 
 def _named(names: Sequence[str], values: NDArray[Any]) -> dict[str, float]:
-    """Return a vector's entries by name."""
+    """Return the entries of a vector by name."""
     return dict(zip(names, values.tolist(), strict=True))
 
 
@@ -65,7 +65,7 @@ def _finite(payload: Any) -> Any:
 
 
 def decode_payload(payload: zenoh.ZBytes) -> Any:
-    """Return the JSON of a payload that was received, None where it is none or absurdly long."""
+    """Return the JSON of a received payload, or None if it is no JSON or too long."""
     if len(payload) > MAX_PAYLOAD_BYTES:
         return None
     try:

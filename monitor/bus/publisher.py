@@ -1,4 +1,4 @@
-"""Zenoh outputs of one vehicle's monitor: alarms, estimates, status, and answers to who asks later."""
+"""Zenoh outputs of one vehicle's monitor: alarms, estimates, status, and answers to later queries."""
 
 from __future__ import annotations
 
@@ -18,33 +18,35 @@ from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent
 
 HISTORY_EVENTS = 4096
-"""Events that late subscribers can ask for. Chosen: one every 3.5 s for four hours; the journal has them all."""
+"""Events that late subscribers can ask for. Chosen: one every 3.5 s for four hours; the journal has all of them."""
 CACHED_EVENTS = 64
-"""Events that Zenoh sends again to a subscriber that missed some. Chosen: more than a failure of seconds causes."""
+"""Events that Zenoh sends again to a subscriber that missed some. Chosen: more than a failure of some seconds
+causes."""
 HISTORIES = 8
-"""Queries for the past that a process takes at once, one after the other; more are refused. Chosen: the consoles and
-standbys of one vehicle, which ask again."""
+"""Queries for the past that are queued in a process, which answers one after the other; more are refused. Chosen: those
+of the consoles and standbys of one vehicle, which ask again."""
 HISTORY_WAIT_S = 5.0
-"""How long a query for the past waits for the others: half of what a client waits for an answer by default."""
+"""Longest wait of a query for the past: half of what a client waits for an answer by default."""
 HEARTBEAT_S = 1.0
-"""A subscriber learns within this time that the last event was lost."""
+"""Within this time a subscriber learns that it missed the last event."""
 
 _histories = threading.BoundedSemaphore(HISTORIES)
 _reading = threading.Lock()
 
 
 class Publisher:
-    """Publishes what the monitor says, in the key space of the contract; the session is left open by :meth:`close`.
+    """Publishes the monitor's results under the keys of the contract; the session is left open by :meth:`close`.
 
-    Events go out with :class:`zenoh.ext.AdvancedPublisher`, so that an advanced subscriber gets the current state when
-    it joins and recovers what it missed; a plain client gets the same with a ``get`` on the alarm keys. Nothing here
-    waits for a slow client: what does not fit its queue is dropped for it. Queries for the past are answered in threads
-    of their own, one at a time, with the newest 4096 events at most.
+    Events are published with :class:`zenoh.ext.AdvancedPublisher`, so that an advanced subscriber gets the current
+    state when it joins and recovers events that it missed. A plain client gets the same with a ``get`` on the alarm
+    keys. Nothing waits for a slow client: what does not fit into its queue is dropped for it. Queries for the past are
+    answered in threads of their own, one at a time, with the newest 4096 events at most.
 
-    At most ``estimate_rate_hz`` estimates a second go out per observer, on the samples' own time; 0 publishes none.
-    ``journal`` returns all past events from a Unix time in nanoseconds on; without it a bounded number of those that
-    were published here is kept. A ``seal`` proves to the other monitors of the vehicle who says an event. Raises
-    UsageError where the vehicle's name or the prefix cannot be part of a key.
+    At most ``estimate_rate_hz`` estimates a second are published per observer, by the samples' own time; 0 publishes
+    none. ``journal`` returns all past events from a Unix time in nanoseconds on; without it, a bounded number of the
+    published events is kept here. A ``seal`` proves to the other monitors of the vehicle who published an event.
+
+    Raises UsageError if the vehicle's name or the prefix cannot be part of a key.
     """
 
     def __init__(
@@ -64,7 +66,7 @@ class Publisher:
         self._period_ns = round(1e9 / estimate_rate_hz) if estimate_rate_hz > 0 else 0
         self._slots: dict[str, int] = {}
         self._layouts = {layout.observer: layout for layout in layouts}
-        # Any: zenoh's stubs call a matching status a bool
+        # Any: zenoh's stubs declare a matching status as a bool
         self._estimates: dict[str, Any] = {
             name: session.declare_publisher(
                 estimate_key(self._root, name),
@@ -92,7 +94,7 @@ class Publisher:
         self._token = session.liveliness().declare_token(f"{self._root}/live")
 
     def event(self, event: AlarmEvent) -> None:
-        """Publish an alarm event and keep it for who asks later."""
+        """Publish an alarm event and keep it for later queries."""
         key = alarm_key(self._root, event.observer, event.channel)
         with self._lock:
             self._latest[key] = event
@@ -114,7 +116,7 @@ class Publisher:
         publisher.put(payload, attachment=self._attachment(key, payload))
 
     def estimates(self, estimates: Estimates) -> None:
-        """Publish the first estimate of each slot of time that has none yet; nothing is made where nobody receives."""
+        """Publish the first estimate of each interval of the rate; encode nothing if nobody subscribes."""
         if not self._period_ns:
             return
         observer = estimates.observer
@@ -130,7 +132,7 @@ class Publisher:
         self._status.put(to_json(status))
 
     def close(self) -> None:
-        """Withdraw everything declared, the liveliness token first; a second call does nothing."""
+        """Undeclare everything, the liveliness token first; a second call does nothing."""
         if not self._closed:
             self._closed = True
             declared: list[Any] = [*self._queryables, *self._alarms.values(), *self._estimates.values()]
@@ -138,7 +140,7 @@ class Publisher:
                 entity.undeclare()
 
     def _answer_current(self, query: zenoh.Query) -> None:
-        """Answer a ``get`` on alarm keys with the latest event of each channel it matches."""
+        """Answer a ``get`` on alarm keys with the latest event of each matching channel."""
         with self._lock:
             latest = dict(self._latest)
         with query:
@@ -174,7 +176,7 @@ class Publisher:
             self._reply(query, f"{self._root}/alarms", to_json([event.to_json() for event in events]))
 
     def _answer_past(self, query: zenoh.Query, since_ns: int, limit: int) -> None:
-        """Answer a query for the past when it is its turn; it may wait for the disk."""
+        """Answer a query for the past when it has its turn; the answer may wait for the disk."""
         # A client or a session that has gone meanwhile needs no answer.
         with contextlib.ExitStack() as stack, contextlib.suppress(zenoh.ZError):
             stack.callback(_histories.release)

@@ -19,13 +19,13 @@ _TIME = {"type": "integer", "description": "Unix time, nanoseconds"}
 def _object(
     title: str, description: str, required: dict[str, Any], optional: dict[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Return the schema of an object that may have further properties: readers have to ignore what they do not know."""
+    """Return the schema of an object that may have further properties: readers have to ignore unknown ones."""
     head = {**_DIALECT, "title": f"fauio.{title}", "description": description}
     return head | _part(required | (optional or {}), list(required))
 
 
 def _part(properties: dict[str, Any], required: Sequence[str] | None = None, **more: Any) -> dict[str, Any]:
-    """Return the schema of an object in another; all of its properties are required unless some are named."""
+    """Return the schema of an object within another; all of its properties are required unless some are named."""
     needed = list(properties if required is None else required)
     return {"type": "object", "properties": properties, "required": needed, **more}
 
@@ -214,7 +214,10 @@ SCHEMAS: dict[str, dict[str, Any]] = {
 
 
 def schema_text(name: str | None = None) -> str:
-    """Return one schema as indented JSON, all of them by name without a name; raise UsageError for another one."""
+    """Return one schema as indented JSON, or all schemas by name without a name.
+
+    Raise UsageError for an unknown one.
+    """
     if name is not None and name not in SCHEMAS:
         raise UsageError(f"schema '{name}': there is none; there are {', '.join(SCHEMAS)}")
     return json.dumps(SCHEMAS if name is None else SCHEMAS[name], indent=2, ensure_ascii=False) + "\n"

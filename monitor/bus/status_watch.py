@@ -1,4 +1,4 @@
-"""How the monitors of one or all vehicles are doing, from their status topics: who hears no alarm may be blind."""
+"""The state of the monitors of one or all vehicles, from their status topics: silence may mean a blind monitor."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     import zenoh
 
 MAX_VEHICLES = 1000
-"""Names come from the network: the memory for them has to end. Chosen: more than one network watches."""
+"""Most vehicles that are remembered, since names come from the network. Chosen: more than one network monitors."""
 _MAX_REASONS = 10
-"""Chosen: more do not fit on a screen."""
+"""Most reasons of a status. Chosen: more do not fit on a screen."""
 _MAX_TEXT = 300
-"""Letters of a reason. Chosen: three lines of a terminal."""
+"""Most letters of a reason. Chosen: three lines of a terminal."""
 _LARGEST_RATE = 1e9
-"""Messages a second. Beyond any link; the number comes from a network."""
+"""Largest number of messages a second that is shown; it comes from a network, and no link brings more."""
 _STATES = ("starting", "monitoring", "blind", "degraded", "stale")
 _FIGURES = re.compile(r"[0-9.]+")
 
@@ -32,26 +32,26 @@ class VehicleStatus:
 
     vehicle: str
     state: str = "starting"  # ``starting``, ``monitoring``, ``blind``, ``degraded`` or ``stale``
-    reasons: tuple[str, ...] = ()  # what keeps it from being watched as it should
-    messages_per_s: float | None = None  # telemetry that its monitor gets; None where that is not said
+    reasons: tuple[str, ...] = ()  # what keeps the vehicle from being watched completely
+    messages_per_s: float | None = None  # telemetry that its monitor receives; None: not stated
 
     @property
     def kind(self) -> tuple[str, ...]:
-        """State and reasons without their figures, which change every second."""
+        """State and reasons without their numbers, which change every second."""
         return self.state, *(_FIGURES.sub("", reason) for reason in self.reasons)
 
     @property
     def well(self) -> bool:
-        """Whether there is nothing to say about it."""
+        """Whether there is nothing to report."""
         return self.state in ("starting", "monitoring") and not self.reasons
 
     def line(self) -> str:
-        """Return it as a line for people."""
+        """Return the status as a line for people."""
         return f"{self.vehicle} is {self.state}" + (f": {'; '.join(self.reasons)}" if self.reasons else "")
 
 
 def valid_status(vehicle: str, payload: Any) -> VehicleStatus | None:
-    """Return what a status payload says, cut to what a terminal can show; None where it is none."""
+    """Return a status payload in short, cut to what a terminal can show; None if it is no status."""
     if not isinstance(payload, Mapping) or payload.get("state") not in _STATES:
         return None
     reasons = payload.get("reasons", ())
@@ -66,8 +66,8 @@ def valid_status(vehicle: str, payload: Any) -> VehicleStatus | None:
 class StatusWatch:
     """Keeps the latest status of a vehicle, or of all; the session is left open by :meth:`close`.
 
-    ``on_status`` is called with each, and with its payload, on Zenoh's thread.
-    Raises UsageError where the vehicle's name or the prefix cannot be part of a key.
+    ``on_status`` is called with each status and its payload, on Zenoh's thread. Raises UsageError if the vehicle's name
+    or the prefix cannot be part of a key.
     """
 
     def __init__(

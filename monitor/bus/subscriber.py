@@ -16,13 +16,15 @@ from monitor.bus.seal import Seal
 from monitor.event import AlarmEvent, valid_event
 
 HELD_EVENTS = 10_000
-"""Events that wait to be received. Chosen: twice the history of a monitor, and more."""
+"""Most events that wait for the reader. Chosen: more than twice the history of a monitor."""
 HISTORY_TIMEOUT_S = 1.0
-"""Chosen: an answer on a network takes milliseconds; a monitor that gives none is asked again."""
+"""Longest wait for an answer. Chosen: an answer on a network takes milliseconds; a monitor that gives none is asked
+again."""
 HISTORY_TRIES = 10
-"""Chosen: with pause and timeout up to twelve seconds, for routers and routes that come up after the monitor."""
+"""Number of attempts. Chosen: with pause and timeout up to twelve seconds, for routers and routes that come up after
+the monitor."""
 HISTORY_PAUSE_S = 0.2
-"""Chosen: a monitor that was announced may declare its queryable a moment later."""
+"""Pause between attempts. Chosen: an announced monitor may declare its queryable a moment later."""
 
 
 class AlarmSubscriber:
@@ -88,12 +90,12 @@ class AlarmSubscriber:
 
     @property
     def live(self) -> frozenset[str]:
-        """Names of the vehicles whose monitor is there."""
+        """Names of the vehicles with a live monitor."""
         with self._changed:
             return frozenset(self._live)
 
     def receive(self, timeout_s: float) -> AlarmEvent | None:
-        """Return the next event, None when none came in time."""
+        """Return the next event, or None if none came in time."""
         with self._changed:
             self._changed.wait_for(lambda: self._events, timeout_s)
             return self._events.popleft() if self._events else None
@@ -111,7 +113,7 @@ class AlarmSubscriber:
         self._take(event)
 
     def _hold(self, event: AlarmEvent) -> bool:
-        """Keep an event back while the past of its vehicle is still to come; return whether it was."""
+        """Hold an event back while the past of its vehicle has not come; return whether it was held back."""
         with self._changed:
             if event.vehicle in self._told:
                 return False
@@ -119,7 +121,7 @@ class AlarmSubscriber:
             return True
 
     def _release(self, vehicle: str) -> None:
-        """Let go what was kept back: the past of its vehicle has come, or nobody knows it."""
+        """Release the events that were held back: the past of their vehicle has come, or nobody knows it."""
         with self._changed:
             self._told.add(vehicle)
             held = sorted((event for event in self._held if event.vehicle == vehicle), key=lambda event: event.seq)
@@ -137,7 +139,7 @@ class AlarmSubscriber:
             self._ask(vehicle, str(sample.key_expr).removesuffix("/live") + "/alarms?history=true", HISTORY_TRIES)
 
     def _ask(self, vehicle: str, key: str, tries: int) -> None:
-        """Ask for the past events, again where nobody answers: a route can be slower than the token it serves."""
+        """Ask for the past events, again if nobody answers: a route may come up later than the token."""
         answers: list[zenoh.Reply] = []
 
         def on_reply(reply: zenoh.Reply) -> None:
@@ -172,7 +174,7 @@ class AlarmSubscriber:
             if event is None:
                 self.invalid += 1
                 return
-            # With the state: what clears an alarm gets through even where its number was given before.
+            # With the state, an event that clears an alarm is passed on even if its number was used before.
             mark = (event.vehicle, event.id, event.seq, event.state)
             if mark in self._seen:
                 return

@@ -1,4 +1,4 @@
-"""Everything of one vehicle that goes to disk: each record encoded once, for the recording and for the black box."""
+"""Everything of one vehicle that goes to disk: each record is encoded once, for the recording and for the black box."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from monitor.recording.record_encoder import EncodedRecord, RecordEncoder
 from monitor.recording.recorder import Recorder
 
 _MOST_ROWS = 4096
-"""Messages and samples held before they are encoded: as many as one turn of the daemon's loop processes of a backlog.
-Live ones are flushed long before, twice a second."""
+"""Most messages and samples held before they are encoded: as many as one turn of the daemon's loop processes of a
+backlog. Live ones are flushed long before, twice a second."""
 
 _ROW_BYTES = 2000
-"""A message of a dozen fields as Python objects (``adapters/batch.py``)."""
+"""Memory of a message of a dozen fields as Python objects (``adapters/batch.py``)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArchiveStatistics:
     """Counts of an archive so far."""
 
-    records: int = 0  # taken by the recording
-    lost: int = 0  # that could not be encoded or written
-    trouble: str | None = None  # the reason why nothing can be written at present; None where all is well
+    records: int = 0  # records taken by the recording
+    lost: int = 0  # records that could not be encoded or written
+    trouble: str | None = None  # why nothing can be written at present; None: writing works
 
 
 class Archive:
     """Records what one monitor receives and computes in a recording and a black box, either of which may be absent.
 
-    It is encoded when it is flushed, all rows of a kind at once, and when an alarm event or a clip needs it. The
-    encoder works for both, which have its table of topics. A disk that fails stops neither the monitor nor the other
-    of the two.
+    Records are encoded when they are flushed, all rows of a kind at once, or when an alarm event or a clip needs them.
+    The encoder works for both outputs, which have its table of topics. A disk that fails stops neither the monitor nor
+    the other output.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Archive:
     def batch(self, batch: Batch) -> None:
         """Record telemetry as received."""
         self._batches.append(batch)
-        # in rows of a usual size: what came over a network may have any
+        # in rows of limited size: messages from a network may have any
         self._hold(max(batch.count, memory_bytes(batch) // _ROW_BYTES))
 
     def estimates(self, estimates: Estimates) -> None:
@@ -62,7 +62,7 @@ class Archive:
         self._hold(len(estimates))
 
     def event(self, event: AlarmEvent) -> None:
-        """Record an alarm event behind all that came before; a raised alarm begins a clip of the black box."""
+        """Record an alarm event after everything that came before it; a raised alarm begins a clip of the black box."""
         self.encode()
         records = self._encoder.event(event)
         records += self._shown.event(event) if records else []
@@ -78,7 +78,7 @@ class Archive:
             self.encode()
 
     def encode(self) -> None:
-        """Give all that is held to the recording and to the black box."""
+        """Pass everything that is held to the recording and to the black box."""
         batches, estimates = self._batches, self._estimates
         self._batches, self._estimates, self._rows = [], {}, 0
         if batches:
@@ -95,12 +95,12 @@ class Archive:
             part.record(records, telemetry=telemetry)
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
-        """Add entries to the metadata of the recording and of the clips to come."""
+        """Add entries to the metadata of the recording and of later clips."""
         for part in self._parts:
             part.add_metadata(metadata)
 
     def flush(self) -> None:
-        """Hand the recording to the operating system, or try a disk again that refused; call it on a timer."""
+        """Flush the recording to the operating system, or try a failed disk again; call it on a timer."""
         self.encode()
         if self._recorder is not None:
             self._recorder.flush()

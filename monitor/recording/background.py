@@ -1,4 +1,4 @@
-"""What waits for a disk, in threads of its own: a disk that hangs costs recordings, not monitoring."""
+"""Work that waits for a disk, in threads of its own: a disk that hangs costs recordings, not monitoring."""
 
 from __future__ import annotations
 
@@ -18,21 +18,23 @@ from monitor.recording.archive import Archive, ArchiveStatistics
 from monitor.recording.journal import MAX_PENDING, Journal, JournalStatistics
 
 HELD_BYTES = 1 << 26
-"""Memory of all vehicles' messages and samples that wait for recordings. Chosen: 64 MB hold two minutes of one that
-makes 1,000 a second and 10 s of sixteen, so that the hiccups of an SD card (seconds) cost nothing."""
+"""Memory of all vehicles' messages and samples that wait for recordings. Chosen: 64 MB hold two minutes of a vehicle
+with 1,000 a second and 10 s of sixteen, so that pauses of an SD card (seconds) cost nothing."""
 _SAMPLE_BYTES = 500
-"""A sample with its estimate: some 60 numbers of two observers."""
+"""Memory of a sample with its estimate: some 60 numbers of two observers."""
 _JOBS = 50_000
-"""Jobs of any size that wait: beside rows, alarm events and flushes."""
+"""Most jobs without rows that wait: alarm events and flushes."""
 _CLIP_RECORDS = 300
 """Records of clips written in one turn, twenty times a second: about 10 ms, six times what a vehicle makes."""
 _STALLED_S = 1.0
-"""A disk that takes this long is said to hang: a thousand times what it takes otherwise."""
+"""A job that takes this long has a disk that hangs: a thousand times the usual time."""
 _BUSY = 0.01
-"""Processor time, as a share of its time, from which a job is slow for want of that and not of the disk. Chosen: the
-writer of sixteen vehicles gets several times as much of a seventh of a core, and what hangs uses none."""
+"""If a job uses at least this share of its time as processor time, it is slow because of the processor and not of the
+disk. Chosen: the writer of sixteen vehicles gets several times as much of a seventh of a core, and a thread that
+hangs uses none."""
 FINISH_S = 8.0
-"""For what still waits at the end. Chosen: the unit allows 20 s for stopping, and there are two threads to wait for."""
+"""Time for the jobs that still wait at the end. Chosen: the unit allows 20 s for stopping, and there are two threads to
+wait for."""
 
 
 class Turn:
@@ -40,12 +42,12 @@ class Turn:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        # when the job in hand began, monotonic; the clock of its thread's processor time, and what that showed
+        # when the current job began, monotonic; the clock of its thread's processor time, and its value then
         self._begun: tuple[float, int, float] | None = None
 
     @property
     def stalled_s(self) -> float:
-        """Seconds for which the job in hand has been waiting for the disk, 0 below a second."""
+        """Seconds for which the current job has been waiting for the disk, 0 below a second."""
         if (begun := self._begun) is None:
             return 0.0
         begun_s, clock, used_s = begun
@@ -54,7 +56,7 @@ class Turn:
         return stalled_s if stalled_s >= _STALLED_S and not is_busy else 0.0
 
     def do(self, job: Callable[[], object]) -> None:
-        """Do a job when its turn comes."""
+        """Run a job when this thread has its turn."""
         with self._lock:
             clock = time.pthread_getcpuclockid(threading.get_ident())
             self._begun = time.monotonic(), clock, time.clock_gettime(clock)
@@ -68,11 +70,11 @@ _RECORDINGS = Turn()
 
 
 class DiskThread:
-    """Does jobs one after the other in a thread; those that find too much waiting are refused.
+    """Runs jobs one after the other in a thread; a job that finds too much waiting is refused.
 
-    Jobs with a size do not wake the thread, which takes as long as some of them: they wait for the next one without,
-    or until half of the room is taken. Threads that share a ``turn`` do theirs one at a time. ``stalled_s`` says for
-    how long the job in hand has been waiting for the disk, 0 where it has not for long.
+    Jobs with a size do not wake the thread, since waking takes as long as some of them: they wait for the next job
+    without a size, or until half of the room is taken. Threads that share a ``turn`` run their jobs one at a time.
+    ``stalled_s`` is how long the current job has been waiting for the disk, 0 if not for long.
     """
 
     def __init__(self, name: str, limit: int, turn: Turn | None = None) -> None:
@@ -88,7 +90,7 @@ class DiskThread:
         self._thread.start()
 
     def put(self, job: Callable[[], object], size: int = 0) -> bool:
-        """Have a job done; return whether there was room for it."""
+        """Queue a job; return whether there was room for it."""
         with self._changed:
             if (size and self._waiting + size > self._limit) or len(self._jobs) >= _JOBS or self._closing:
                 return False
@@ -100,9 +102,9 @@ class DiskThread:
             return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until all that was put is done; return whether it is.
+        """Wait until all queued jobs are done; return whether they are.
 
-        Who has waited in vain does not wait again until the thread has caught up.
+        After a wait in vain, the next call does not wait until the thread has caught up.
         """
         with self._changed:
             given = self._given
@@ -119,7 +121,7 @@ class DiskThread:
         return self._turn.stalled_s if self._given > self._done else 0.0
 
     def close(self, timeout_s: float) -> bool:
-        """Do what waits, for so long at most, and end; return whether all was done."""
+        """Run the waiting jobs, for this long at most, and end; return whether all were done."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -136,7 +138,7 @@ class DiskThread:
             try:
                 self._turn.do(job)
             except Exception:
-                # Whatever a disk makes of it, the next job is done.
+                # Whatever the disk does to this job, the next one is run.
                 logging.getLogger(__name__).exception("%s failed", self._thread.name)
             with self._changed:
                 self._waiting -= size
@@ -147,7 +149,7 @@ class DiskThread:
 
 
 class BackgroundArchive:
-    """An archive that is written in a thread, one of ``sharers``; what there is no room for is lost, counted."""
+    """An archive that is written in a thread, one of ``sharers``; records without room are lost and counted."""
 
     def __init__(self, archive: Archive, vehicle: str, sharers: int = 1) -> None:
         self._archive = archive
@@ -164,7 +166,7 @@ class BackgroundArchive:
         self._put(functools.partial(self._archive.estimates, estimates), rows, rows * _SAMPLE_BYTES)
 
     def event(self, event: AlarmEvent) -> None:
-        """Record an alarm event behind all that came before; a raised alarm begins a clip of the black box."""
+        """Record an alarm event after everything that came before it; a raised alarm begins a clip of the black box."""
         self._put(functools.partial(self._archive.event, event), 1, 0)
 
     def flush(self) -> None:

@@ -1,4 +1,4 @@
-"""Flight recorder: a vehicle's records in MCAP files that every MCAP tool reads, one file or one after the other."""
+"""Flight recorder: a vehicle's records in MCAP files that every MCAP tool reads, one file or a series of files."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from monitor.recording.record_encoder import EncodedRecord, Topic
 from monitor.recording.retention import FileSeries
 
 MAX_PENDING_RECORDS: Final = 10_000
-"""Records that wait at most. Chosen: two an event, so a night of 5,000 events on a full disk, in 4 MB of memory."""
+"""Most records that wait. Chosen: two per event, so a night of 5,000 events on a full disk, in 4 MB of memory."""
 METADATA: Final = "fauio"
 """Name of the metadata record in our files."""
 RETRY_S: Final = 10.0
-"""Seconds after which a disk that refused is tried again. Chosen: a full disk is freed by hand, so within minutes; each
-try may cost the loop that monitors the time of a failing system call."""
+"""Seconds after which a failed disk is tried again. Chosen: a full disk is freed by hand, so within minutes; each try
+may cost the monitoring loop the time of a failing system call."""
 
-# An upper bound of what a record adds to a file beside its data: the head (31 bytes), two index entries (16 each), and
-# the channel definition, in the data and in the summary, where its topic is new.
+# An upper bound of what a record adds to a file besides its data: the head (31 bytes), two index entries (16 each), and
+# the channel definition, in the data and in the summary, if its topic is new.
 _RECORD_MARGIN = 512
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml"}
 
@@ -44,7 +44,7 @@ class RecordFile(MessageLogWriter):
         profile_files: Mapping[str, bytes],
     ) -> None:
         self._topics = topics
-        # None of a topic that the file has no room for
+        # None for a topic that the file has no room for
         self._numbers: dict[int, int | None] = {}
         try:
             super().__init__(path)
@@ -57,20 +57,20 @@ class RecordFile(MessageLogWriter):
             with contextlib.suppress(OSError):
                 self.close()
             with contextlib.suppress(OSError):
-                # /dev/stdout and the like are not ours to remove
+                # /dev/stdout and the like must not be removed
                 if Path(path).is_file():
                     Path(path).unlink()
             raise
 
     def size_with(self, records: Sequence[EncodedRecord]) -> int:
-        """Return how many bytes the file has at most if it is closed behind these records."""
+        """Return the largest size of the file, bytes, if it is closed after these records."""
         new = {number for number, _, _ in records} - self._numbers.keys()
         schemas = [schema for number in new if (schema := self._topics[number].schema) is not None]
         written = sum([len(data) for _, data, _ in records]) + len(records) * _RECORD_MARGIN
         return self.size + written + sum(2 * len(schema.data) for schema in schemas)
 
     def recordable(self, records: Sequence[EncodedRecord]) -> Sequence[EncodedRecord]:
-        """Return the records for whose topics the file has room."""
+        """Return the records whose topics the file has room for."""
         numbers = self._numbers
         for number in {number for number, _, _ in records} - numbers.keys():
             topic = self._topics[number]

@@ -1,4 +1,4 @@
-"""Recordings that a crash left unfinished: finished by ``fauio recover``, and by the daemon when it starts."""
+"""Recordings that a crash left unfinished: ``fauio recover`` and the starting daemon finish them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def unfinished(place: Path) -> Iterator[Path]:
-    """Yield the unfinished MCAP files of a folder and those below it, or the file itself where it is one."""
+    """Yield the unfinished MCAP files of a folder and its subfolders, or the given file itself."""
     from adapters.logs.mcap_recovery import is_unfinished
 
     for path in sorted(place.rglob("*.mcap")) if place.is_dir() else [place]:
@@ -30,7 +30,7 @@ def unfinished(place: Path) -> Iterator[Path]:
 
 
 def finish_all(folder: Path, say: Callable[..., None]) -> threading.Thread:
-    """Finish what is unfinished in a folder, in a thread: recordings of the daemon that was there before.
+    """Finish the unfinished recordings of an earlier daemon in a folder, in a thread.
 
     ``say`` logs what was done. A file that is being written is left alone.
     """
@@ -79,7 +79,7 @@ def add_recover(subparsers: Any) -> None:
 
 
 def _check_is_recording(place: Path) -> None:
-    """Refuse a file that never was a recording, or never held anything."""
+    """Refuse a file that is no recording, or never held anything."""
     from mcap.writer import MCAP0_MAGIC
 
     if place.is_dir():
@@ -95,7 +95,7 @@ def _check_is_recording(place: Path) -> None:
 
 
 def run_recover(args: argparse.Namespace) -> int:
-    """Finish the files; status 2 where some could not be."""
+    """Finish the files; status 2 if some could not be finished."""
     if not args.place.exists():
         raise UsageError(f"{args.place}: no such file or folder")
     _check_is_recording(args.place)

@@ -1,4 +1,4 @@
-"""Keeps a folder's files of one kind within a budget of bytes: the oldest are deleted, files of others are not."""
+"""Keep a folder's files of one kind within a budget of bytes: the oldest are deleted, other files never."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def file_stem(name: str) -> str:
 
 
 class Retention:
-    """The files of a folder whose whole names match, the oldest first, which is their lexical order."""
+    """The files of a folder whose whole names match, in lexical order, so the oldest first."""
 
     def __init__(self, folder: Path, name: re.Pattern[str], budget_bytes: int) -> None:
         self._folder = folder
@@ -78,14 +78,14 @@ class Retention:
         self._budget_bytes = budget_bytes
 
     def files(self) -> list[Path]:
-        """Return the files in order of age; none where the folder cannot be read."""
+        """Return the files in order of age; none if the folder cannot be read."""
         try:
             return sorted(path for path in self._folder.iterdir() if self._name.fullmatch(path.name))
         except OSError:
             return []
 
     def make_room(self, room_bytes: int = 0, keep: Container[Path] = ()) -> None:
-        """Delete the oldest files until ``room_bytes`` more fit into the budget, those to ``keep`` excepted."""
+        """Delete the oldest files until ``room_bytes`` more fit into the budget, but never those to ``keep``."""
         sizes = {}
         for path in self.files():
             with contextlib.suppress(OSError):
@@ -99,7 +99,7 @@ class Retention:
 
 
 def writable_folder(folder: str | os.PathLike[str]) -> Path:
-    """Return a folder for recordings, created where it does not exist; raise StorageError where it cannot hold any."""
+    """Return a folder for recordings, created if it does not exist; raise StorageError if it cannot hold any."""
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
