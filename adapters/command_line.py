@@ -8,7 +8,7 @@ import math
 import os
 import socket
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from adapters.errors import UsageError, printable
@@ -30,6 +30,18 @@ def remark(*lines: str) -> None:
     """Say what is no result, such as a warning."""
     sys.stderr.writelines(f"fauio: {printable(line)}\n" for line in lines)
     sys.stderr.flush()
+
+
+def option(parser: Any, words: str, says: str, of: Callable[[str], Any] | None = None, **more: Any) -> None:
+    """Add an option or an argument as users write it: ``-o --out DIR``, ``logs LOG``; without a value it is a flag.
+
+    ``of`` reads the value, a text without; ``more`` is as for ``add_argument``.
+    """
+    *names, value = words.split()
+    if value.startswith("-"):
+        parser.add_argument(*names, value, action="store_true", help=says, **more)
+    else:
+        parser.add_argument(*names, type=of, metavar=value, help=says, **more)
 
 
 def finite(text: str) -> float:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from adapters.command_line import remark, say_json
+from adapters.command_line import option, remark, say_json
 from adapters.errors import UsageError
 from adapters.output_file import check_suffix
 
@@ -31,39 +31,35 @@ def add_parsers(subparsers: Any) -> None:
         epilog="example: fauio simulate arm --zenoh arm/telemetry --fault f_a:step:10:20:0.5 --duration 30",
     )
     target = arm.add_mutually_exclusive_group(required=True)
-    target.add_argument("--zenoh", metavar="KEY", help="publish JSON over Zenoh under this key")
-    target.add_argument("--mavlink", metavar="URL", help="send MAVLink over UDP to udpout:HOST:PORT")
-    target.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="write a recording")
-    arm.add_argument(
-        "--connect",
-        metavar="ENDPOINT",
+    option(target, "--zenoh KEY", "publish JSON over Zenoh under this key")
+    option(target, "--mavlink URL", "send MAVLink over UDP to udpout:HOST:PORT")
+    option(target, "-o --output OUT.mcap", "write a recording", Path)
+    option(
+        arm,
+        "--connect ENDPOINT",
+        "Zenoh endpoints to connect to (default tcp/127.0.0.1:7447, where the daemon listens)",
         nargs="+",
-        help="Zenoh endpoints to connect to (default tcp/127.0.0.1:7447, where the daemon listens)",
     )
-    arm.add_argument(
-        "--zenoh-config",
-        metavar="FILE",
-        help="Zenoh configuration with certificates or password; its endpoints are used",
-    )
+    option(arm, "--zenoh-config FILE", "Zenoh configuration with certificates or password; its endpoints are used")
     arm.add_argument(
         "--scenario",
         choices=SCENARIOS,
         help=f"faults and disturbances of the paper (default {DEFAULT_SCENARIO}; healthy with --fault)",
     )
-    arm.add_argument(
-        "--fault",
+    option(
+        arm,
+        "--fault CHANNEL:KIND:START:STOP:SIZE[:HZ]",
+        "add a fault: channel f_a or f_s; kind step, ramp or sine; times in seconds; may be repeated",
         action="append",
         default=[],
-        metavar="CHANNEL:KIND:START:STOP:SIZE[:HZ]",
-        help="add a fault: channel f_a or f_s; kind step, ramp or sine; times in seconds; may be repeated",
     )
     arm.add_argument(
         "--torque", choices=("zero", "tracking"), default="zero", help="no torque, or a torque that swings the link"
     )
-    arm.add_argument("--duration", type=float, default=50.0, metavar="S", help="simulated seconds (default 50)")
-    arm.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="samples per second (default 100)")
-    arm.add_argument("--speed", type=float, default=1.0, metavar="X", help="speed relative to real time (default 1)")
-    arm.add_argument("--json", action="store_true", help="print a summary as one JSON object")
+    option(arm, "--duration S", "simulated seconds (default 50)", float, default=50.0)
+    option(arm, "--rate HZ", "samples per second (default 100)", float, default=100.0)
+    option(arm, "--speed X", "speed relative to real time (default 1)", float, default=1.0)
+    option(arm, "--json", "print a summary as one JSON object")
     arm.set_defaults(handler=_simulate_arm)
 
 

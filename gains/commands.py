@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adapters.command_line import remark, say, say_json
+from adapters.command_line import option, remark, say, say_json
 from adapters.errors import InaccurateError, InfeasibleError, ModelError, UsageError
 
 if TYPE_CHECKING:
@@ -83,28 +83,26 @@ def add_parsers(subparsers: Any) -> None:
         description="Design the observer of a plant model and prove its error bound.",
         epilog="example: fauio design arm\nexample: fauio design arm-disturbed --rate 50 --json",
     )
-    parser.add_argument("model", metavar="MODEL.toml", help="model file, or built in: arm, arm-disturbed")
-    parser.add_argument("-o", "--out", type=Path, metavar="GAINS.json", help="write the compiled gains")
-    parser.add_argument(
-        "--method",
-        choices=["convex", *_THEOREMS, *_BASELINES, "all"],
-        default="convex",
-        metavar="METHOD",
-        help="synthesis: convex (the default); for comparison theorem1 and theorem2 (the paper's own inequalities), "
+    option(parser, "model MODEL.toml", "model file, or built in: arm, arm-disturbed")
+    option(parser, "-o --out GAINS.json", "write the compiled gains", Path)
+    option(
+        parser,
+        "--method METHOD",
+        "synthesis: convex (the default); for comparison theorem1 and theorem2 (the paper's own inequalities), "
         "gao2022, gao2016, chen2006 and zhang2008 (reconstructions of earlier observers), ekf (a Kalman filter), or "
         "all of them",
+        choices=["convex", *_THEOREMS, *_BASELINES, "all"],
+        default="convex",
     )
-    parser.add_argument(
-        "--rate",
-        type=float,
-        metavar="HZ",
-        help="samples per second of a discrete design (default: the model's, otherwise "
+    option(
+        parser,
+        "--rate HZ",
+        "samples per second of a discrete design (default: the model's, otherwise "
         f"{_RATE_HZ:g}), or of compiling a continuous design (default: not compiled)",
+        float,
     )
-    parser.add_argument(
-        "--continuous",
-        action="store_true",
-        help="design in continuous time; with --rate the design is compiled exactly for that rate",
+    option(
+        parser, "--continuous", "design in continuous time; with --rate the design is compiled exactly for that rate"
     )
     parser.add_argument(
         "--decay-rates",
@@ -114,19 +112,15 @@ def add_parsers(subparsers: Any) -> None:
         help="decay rates of the estimation error of a continuous convex design, rad/s (any)",
     )
     for scalar in _SCALARS:
-        parser.add_argument(f"--{scalar}", type=float, metavar="X", help=f"{scalar} of theorem1 and theorem2")
-    parser.add_argument(
-        "--fault-rate",
-        type=float,
-        metavar="PER_SECOND",
-        help="how fast actuator faults may change: a larger rate follows faster (default: the model's)",
+        option(parser, f"--{scalar} X", f"{scalar} of theorem1 and theorem2", float)
+    option(
+        parser,
+        "--fault-rate PER_SECOND",
+        "how fast actuator faults may change: a larger rate follows faster (default: the model's)",
+        float,
     )
-    parser.add_argument(
-        "--faults",
-        metavar="NAME,...",
-        help="design for these faults of the model only, as for one hypothesis of a bank",
-    )
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    option(parser, "--faults NAME,...", "design for these faults of the model only, as for one hypothesis of a bank")
+    option(parser, "--json", "print the result as one JSON object")
     parser.set_defaults(handler=run_design)
     _add_convex_options(parser.add_argument_group("convex design"))
     _add_check(subparsers)
@@ -134,12 +128,12 @@ def add_parsers(subparsers: Any) -> None:
 
 def _add_convex_options(parser: argparse._ArgumentGroup) -> None:
     """Add what only the convex design knows: where poles may lie, what gains cost, what is proven."""
-    parser.add_argument(
-        "--pole-radius",
-        type=float,
+    option(
+        parser,
+        "--pole-radius R",
+        "largest absolute pole of the estimation error, in (0, 1]: a smaller one settles faster (1)",
+        float,
         default=1.0,
-        metavar="R",
-        help="largest absolute pole of the estimation error, in (0, 1]: a smaller one settles faster (1)",
     )
     parser.add_argument(
         "--integrator-order",
@@ -148,47 +142,42 @@ def _add_convex_options(parser: argparse._ArgumentGroup) -> None:
         default=1,
         help="2 follows ramps of actuator faults without lag; their rates are then per second squared (1)",
     )
-    parser.add_argument(
-        "--h2",
-        type=float,
+    option(
+        parser,
+        "--h2 ALPHA",
+        "from 0, the best worst-case bound, to 1, the least error under white noise (0)",
+        float,
         default=0.0,
-        metavar="ALPHA",
-        help="from 0, the best worst-case bound, to 1, the least error under white noise (0)",
     )
-    parser.add_argument(
-        "--gain-weight",
-        type=float,
-        metavar="RHO",
-        help="price of large gains: a smaller price lets the estimates follow harmless noise (0.001)",
+    option(
+        parser,
+        "--gain-weight RHO",
+        "price of large gains: a smaller price lets the estimates follow harmless noise (0.001)",
+        float,
     )
-    parser.add_argument(
-        "--gain-bound",
-        type=float,
-        metavar="X",
-        help="largest entry of the gains K, L_i and L_p (any)",
-    )
-    parser.add_argument(
+    option(parser, "--gain-bound X", "largest entry of the gains K, L_i and L_p (any)", float)
+    option(
+        parser,
         "--vertex-free",
-        action="store_true",
-        help="prove all slopes at once instead of each combination of their bounds (default: if these are too many)",
+        "prove all slopes at once instead of each combination of their bounds (default: if these are too many)",
     )
-    parser.add_argument(
+    option(
+        parser,
         "--published-inverse",
-        action="store_true",
-        help="use the paper's pseudo-inverse for L1 and F instead of designing them with the gains",
+        "use the paper's pseudo-inverse for L1 and F instead of designing them with the gains",
     )
-    parser.add_argument(
+    option(
+        parser,
         "--noise-once",
-        action="store_true",
-        help="bound the error against disturbances and noise only, without their next values (continuous: their "
+        "bound the error against disturbances and noise only, without their next values (continuous: their "
         "derivatives), which count noise twice",
     )
-    parser.add_argument(
-        "--common-p",
-        type=Path,
-        metavar="GAINS.json",
-        help="keep the Lyapunov matrix of an earlier design of this model and rate, so that the gains may be "
+    option(
+        parser,
+        "--common-p GAINS.json",
+        "keep the Lyapunov matrix of an earlier design of this model and rate, so that the gains may be "
         "exchanged at run time",
+        Path,
     )
 
 
@@ -281,13 +270,13 @@ def _add_check(subparsers: Any) -> None:
         "status: 0 it holds, 2 it does not.",
         epilog="example: fauio check arm\nexample: fauio check gains.json",
     )
-    parser.add_argument(
-        "model",
-        metavar="MODEL.toml|GAINS.json",
-        help="model file, or built in: arm, arm-disturbed; or gains, whose certificate is verified",
+    option(
+        parser,
+        "model MODEL.toml|GAINS.json",
+        "model file, or built in: arm, arm-disturbed; or gains, whose certificate is verified",
     )
-    parser.add_argument("--rate", type=float, metavar="HZ", help="sample a continuous model at this rate")
-    parser.add_argument("--json", action="store_true", help="print the findings as one JSON object")
+    option(parser, "--rate HZ", "sample a continuous model at this rate", float)
+    option(parser, "--json", "print the findings as one JSON object")
     parser.set_defaults(handler=run_check)
 
 

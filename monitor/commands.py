@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from adapters.command_line import say, say_json
+from adapters.command_line import option, say, say_json
 from monitor.console.alarm_commands import add_alarms, add_schema
 from monitor.console.web_commands import add_console
 from monitor.diagnosis.doctor import add_doctor
@@ -40,15 +40,11 @@ def _add_record(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
         epilog="example: fauio record --mavlink udpin:127.0.0.1:14550 -o monday.mcap",
     )
     _add_source(record)
-    record.add_argument("-o", "--out", type=Path, required=True, metavar="OUT.mcap", help="file to write")
-    record.add_argument(
-        "--seconds", type=_seconds, metavar="S", help="end this long after the first message (default: on Ctrl-C)"
-    )
-    record.add_argument(
-        "--config", type=Path, metavar="FILE.toml", help="configuration: links, signing, message rates, Zenoh"
-    )
+    option(record, "-o --out OUT.mcap", "file to write", Path, required=True)
+    option(record, "--seconds S", "end this long after the first message (default: on Ctrl-C)", _seconds)
+    option(record, "--config FILE.toml", "configuration: links, signing, message rates, Zenoh", Path)
     _add_endpoints(record)
-    record.add_argument("--json", action="store_true", help="print a summary as one JSON object")
+    option(record, "--json", "print a summary as one JSON object")
     record.set_defaults(handler=run_record)
 
 
@@ -60,22 +56,20 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "the vehicle unless the configuration allows it. Ends on SIGTERM or Ctrl-C; SIGHUP reloads the configuration.",
         epilog="example: fauio run quad/ --mavlink udpin:127.0.0.1:14550 --record flight.mcap",
     )
-    run.add_argument(
-        "profile",
-        type=Path,
+    option(
+        run,
+        "profile PROFILE",
+        "profile folder, made by 'fauio fit'; may be left out if --config names profiles",
+        Path,
         nargs="?",
-        metavar="PROFILE",
-        help="profile folder, made by 'fauio fit'; may be left out if --config names profiles",
     )
     _add_source(run)
-    run.add_argument("--config", type=Path, metavar="FILE.toml", help="configuration; options given here override it")
-    run.add_argument("--vehicle", metavar="NAME", help="name in topics (default: the profile's)")
+    option(run, "--config FILE.toml", "configuration; options given here override it", Path)
+    option(run, "--vehicle NAME", "name in topics (default: the profile's)")
     _add_endpoints(run)
-    run.add_argument(
-        "--force", action="store_true", help="watch a vehicle even if it is another one than the profile's"
-    )
-    run.add_argument("--prefix", metavar="KEY", help="first part of the Zenoh keys (fauio)")
-    run.add_argument("--record", type=Path, metavar="OUT.mcap", help="record telemetry, estimates and alarms")
+    option(run, "--force", "watch a vehicle even if it is another one than the profile's")
+    option(run, "--prefix KEY", "first part of the Zenoh keys (fauio)")
+    option(run, "--record OUT.mcap", "record telemetry, estimates and alarms", Path)
     run.add_argument(
         "--rerun",
         nargs="?",
@@ -83,8 +77,8 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         choices=["spawn", "serve"],
         help="show estimates live in Rerun: start a viewer, or serve viewers on a port of this machine",
     )
-    run.add_argument("--rerun-port", type=int, metavar="PORT", help="port of '--rerun serve' (9876)")
-    run.add_argument("--json", action="store_true", help="write log lines to stderr as JSON, on a terminal too")
+    option(run, "--rerun-port PORT", "port of '--rerun serve' (9876)", int)
+    option(run, "--json", "write log lines to stderr as JSON, on a terminal too")
     run.set_defaults(handler=run_run)
 
 
@@ -96,30 +90,26 @@ def _add_notify(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
         "which were delivered. Exit status 2 if one was not.",
         epilog="example: fauio notify --config run.toml --test",
     )
-    parser.add_argument("--config", type=Path, required=True, metavar="FILE.toml", help="configuration of the daemon")
-    parser.add_argument("--test", action="store_true", required=True, help="send the test message")
+    option(parser, "--config FILE.toml", "configuration of the daemon", Path, required=True)
+    option(parser, "--test", "send the test message", required=True)
     parser.set_defaults(handler=run_notify)
 
 
 def _add_source(command: argparse.ArgumentParser) -> None:
     source = command.add_mutually_exclusive_group()
-    source.add_argument(
-        "--mavlink",
-        metavar="URL",
-        help="udpin:HOST:PORT (the vehicle sends to this address), udpout:HOST:PORT, "
+    option(
+        source,
+        "--mavlink URL",
+        "udpin:HOST:PORT (the vehicle sends to this address), udpout:HOST:PORT, "
         "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD",
     )
-    source.add_argument("--zenoh", metavar="KEYEXPR", help="telemetry over Zenoh on these keys")
+    option(source, "--zenoh KEYEXPR", "telemetry over Zenoh on these keys")
 
 
 def _add_endpoints(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint to listen on (tcp/127.0.0.1:7447)"
-    )
-    command.add_argument("--connect", metavar="ENDPOINT", action="append", help="Zenoh endpoint to connect to")
-    command.add_argument(
-        "--allow-public", action="store_true", help="let MAVLink, Zenoh and metrics listen beyond this machine"
-    )
+    option(command, "--listen ENDPOINT", "Zenoh endpoint to listen on (tcp/127.0.0.1:7447)", action="append")
+    option(command, "--connect ENDPOINT", "Zenoh endpoint to connect to", action="append")
+    option(command, "--allow-public", "let MAVLink, Zenoh and metrics listen beyond this machine")
 
 
 def _seconds(text: str) -> float:

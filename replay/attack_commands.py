@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from adapters.command_line import finite, natural, positive, say, say_json, several
+from adapters.command_line import finite, natural, option, positive, say, say_json, several
 from replay.runs.replay_command import LOG_HELP
 
 _KINDS = ("bias", "ramp", "scale", "freeze", "replay", "noise", "delay", "drop", "spoof", "loss")
@@ -54,33 +54,24 @@ def _add_inject(subparsers: Any) -> None:
         description=_INJECT_TEXT,
         epilog="example: fauio inject flight.tlog --channel baro --kind bias --size 8 --start 30 -o out.mcap",
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_HELP)
-    parser.add_argument("--channel", required=True, metavar="NAME", help="channel to alter (see above)")
-    parser.add_argument("--kind", required=True, metavar="KIND", help=", ".join(_KINDS))
+    option(parser, "log LOG", LOG_HELP, Path)
+    option(parser, "--channel NAME", "channel to alter (see above)", required=True)
+    option(parser, "--kind KIND", ", ".join(_KINDS), required=True)
     begin = parser.add_mutually_exclusive_group(required=True)
-    begin.add_argument("--start", type=float, metavar="S", help="begin, seconds since the log's first stamp")
-    begin.add_argument("--at-ms", type=int, metavar="MS", help="begin, milliseconds of the vehicle's clock")
+    option(begin, "--start S", "begin, seconds since the log's first stamp", float)
+    option(begin, "--at-ms MS", "begin, milliseconds of the vehicle's clock", int)
     finish = parser.add_mutually_exclusive_group()
-    finish.add_argument("--end", type=float, metavar="S", help="end, counted as --start (default: the log's end)")
-    finish.add_argument("--for", type=float, metavar="S", dest="duration", help="how long it lasts, seconds")
-    parser.add_argument(
-        "--size",
-        type=float,
-        metavar="X",
-        help="size in the channel's unit (see above); seconds for a delay; a share for a loss",
-    )
-    parser.add_argument(
-        "--rate", type=float, metavar="X", help="growth in the channel's unit per second; m/s for a spoof"
-    )
-    parser.add_argument("--accel", type=float, metavar="X", help="largest acceleration of a spoof, m/s^2 (0.5)")
-    parser.add_argument(
-        "--from", type=float, metavar="S", dest="source", help="begin of the replayed segment (seconds, as --start)"
-    )
-    parser.add_argument("--seed", type=natural, default=0, metavar="N", help="seed of noise and lost messages (0)")
-    parser.add_argument("--system", type=natural, default=0, metavar="N", help="MAVLink system (default: first sender)")
-    parser.add_argument("--profile", type=Path, metavar="PROFILE", help="profile folder with the vehicle's model")
-    parser.add_argument("-o", "--out", required=True, type=Path, metavar="OUT.mcap", help="file to write")
-    parser.add_argument("--json", action="store_true", help="print the truth as one JSON object")
+    option(finish, "--end S", "end, counted as --start (default: the log's end)", float)
+    option(finish, "--for S", "how long it lasts, seconds", float, dest="duration")
+    option(parser, "--size X", "size in the channel's unit (see above); seconds for a delay; a share for a loss", float)
+    option(parser, "--rate X", "growth in the channel's unit per second; m/s for a spoof", float)
+    option(parser, "--accel X", "largest acceleration of a spoof, m/s^2 (0.5)", float)
+    option(parser, "--from S", "begin of the replayed segment (seconds, as --start)", float, dest="source")
+    option(parser, "--seed N", "seed of noise and lost messages (0)", natural, default=0)
+    option(parser, "--system N", "MAVLink system (default: first sender)", natural, default=0)
+    option(parser, "--profile PROFILE", "profile folder with the vehicle's model", Path)
+    option(parser, "-o --out OUT.mcap", "file to write", Path, required=True)
+    option(parser, "--json", "print the truth as one JSON object")
     parser.set_defaults(handler=run_inject)
 
 
@@ -93,40 +84,24 @@ def _add_detectability(subparsers: Any) -> None:
         "A loss is injected by the profile's own model, so errors of the model do not show.",
         epilog="example: fauio detectability quad/ healthy.tlog --channel motor1 --sizes 0.02,0.1",
     )
-    parser.add_argument("profile", type=Path, metavar="PROFILE", help="profile folder")
-    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_HELP + "; without faults")
-    parser.add_argument(
-        "--channel",
-        action="append",
-        metavar="NAME",
-        help="alarm channel, may be repeated (default: all, which takes minutes)",
+    option(parser, "profile PROFILE", "profile folder", Path)
+    option(parser, "log LOG", LOG_HELP + "; without faults", Path)
+    option(
+        parser, "--channel NAME", "alarm channel, may be repeated (default: all, which takes minutes)", action="append"
     )
-    parser.add_argument(
-        "--kinds",
-        type=several,
-        metavar="K,K",
-        help="kinds of fault (default: loss of actuators, bias and ramp of sensors)",
+    option(parser, "--kinds K,K", "kinds of fault (default: loss of actuators, bias and ramp of sensors)", several)
+    option(
+        parser,
+        "--sizes X,X",
+        "sizes in the channel's unit; rates per second for ramp and spoof (default: around the threshold)",
+        lambda text: tuple(map(finite, several(text))),
     )
-    parser.add_argument(
-        "--sizes",
-        type=lambda text: tuple(map(finite, several(text))),
-        metavar="X,X",
-        help="sizes in the channel's unit; rates per second for ramp and spoof (default: around the threshold)",
-    )
-    parser.add_argument("--onsets", type=positive, default=5, metavar="N", help="number of onsets for each size (5)")
-    parser.add_argument(
-        "--before", type=float, default=10.0, metavar="S", help="healthy flight before each onset, seconds (10)"
-    )
-    parser.add_argument(
-        "--after",
-        type=float,
-        default=10.0,
-        metavar="S",
-        help="a fault not detected within these seconds is missed (10)",
-    )
-    parser.add_argument("--jobs", type=positive, default=1, metavar="N", help="processes (1)")
-    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot delay and miss rate against size")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    option(parser, "--onsets N", "number of onsets for each size (5)", positive, default=5)
+    option(parser, "--before S", "healthy flight before each onset, seconds (10)", float, default=10.0)
+    option(parser, "--after S", "a fault not detected within these seconds is missed (10)", float, default=10.0)
+    option(parser, "--jobs N", "processes (1)", positive, default=1)
+    option(parser, "--plot OUT.png", "plot delay and miss rate against size", Path)
+    option(parser, "--json", "print the result as one JSON object")
     parser.set_defaults(handler=run_detectability)
 
 

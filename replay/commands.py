@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adapters.command_line import remark, say, say_json
+from adapters.command_line import option, remark, say, say_json
 from adapters.errors import StorageError, UsageError
 from adapters.output_file import check_suffix
 from monitor.vehicles.kinds import KINDS
@@ -50,18 +50,14 @@ def _add_demo(subparsers: Any) -> None:
     parser.add_argument(
         "vehicle", nargs="?", choices=["arm", "copter"], default="arm", help="simulated arm, or recorded flight (arm)"
     )
-    parser.add_argument(
-        "-o", "--out", type=Path, default=Path("demo-out"), metavar="DIR", help="folder for the results (demo-out)"
+    option(parser, "-o --out DIR", "folder for the results (demo-out)", Path, default=Path("demo-out"))
+    option(
+        parser,
+        "--speed X",
+        "speed relative to real time (default: 2 for the arm, 4 for the copter; 1 with --console)",
+        float,
     )
-    parser.add_argument(
-        "--speed",
-        type=float,
-        metavar="X",
-        help="speed relative to real time (default: 2 for the arm, 4 for the copter; 1 with --console)",
-    )
-    parser.add_argument(
-        "--console", action="store_true", help="show it as a web page until Ctrl-C, and open a browser if there is one"
-    )
+    option(parser, "--console", "show it as a web page until Ctrl-C, and open a browser if there is one")
     parser.set_defaults(handler=run_demo)
 
 
@@ -75,39 +71,24 @@ def _add_fit(subparsers: Any) -> None:
         "example: fauio fit --vehicle multirotor --start 60 --end 400 long.ulg -o quad/",
     )
     parser.add_argument("--vehicle", choices=[kind.name for kind in KINDS], help="kind of vehicle")
-    parser.add_argument(
-        "--update",
-        type=Path,
-        metavar="PROFILE",
-        help="add flights to those that this profile keeps, and fit again; edits of profile.toml are kept",
+    option(
+        parser,
+        "--update PROFILE",
+        "add flights to those that this profile keeps, and fit again; edits of profile.toml are kept",
+        Path,
     )
-    parser.add_argument("--model", type=Path, metavar="MODEL.toml", help="model with free parameters (custom only)")
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=LOG_HELP)
-    parser.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        metavar="PROFILE",
-        help="profile folder to write (default with --update: that profile)",
+    option(parser, "--model MODEL.toml", "model with free parameters (custom only)", Path)
+    option(parser, "logs LOG", LOG_HELP, Path, nargs="+")
+    option(parser, "-o --out PROFILE", "profile folder to write (default with --update: that profile)", Path)
+    option(parser, "--start S", "leave out the first S seconds of each log", float, default=0.0)
+    option(parser, "--end S", "leave out each log after its first S seconds", float)
+    option(parser, "--rate HZ", "samples per second of the observer (default: the rate of the messages)", float)
+    option(parser, "--mapping FILE.toml", MAPPING_HELP, Path)
+    option(parser, "--name NAME", "name of the vehicle in topics (default: the folder's name)")
+    option(
+        parser, "--force", "fit even if a log is of another kind of vehicle, or of another vehicle than the first log"
     )
-    parser.add_argument(
-        "--start", type=float, default=0.0, metavar="S", help="leave out the first S seconds of each log"
-    )
-    parser.add_argument("--end", type=float, metavar="S", help="leave out each log after its first S seconds")
-    parser.add_argument(
-        "--rate",
-        type=float,
-        metavar="HZ",
-        help="samples per second of the observer (default: the rate of the messages)",
-    )
-    parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=MAPPING_HELP)
-    parser.add_argument("--name", metavar="NAME", help="name of the vehicle in topics (default: the folder's name)")
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="fit even if a log is of another kind of vehicle, or of another vehicle than the first log",
-    )
-    parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
+    option(parser, "--json", "print the report as one JSON object")
     parser.set_defaults(handler=run_fit)
 
 
@@ -118,9 +99,9 @@ def _add_convert(subparsers: Any) -> None:
         description="Convert a recording to MCAP with typed messages, for Foxglove, Rerun and any MCAP tool.",
         epilog="example: fauio convert flight.tlog -o flight.mcap",
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_HELP)
-    parser.add_argument("-o", "--out", required=True, type=Path, metavar="OUT.mcap", help="file to write")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    option(parser, "log LOG", LOG_HELP, Path)
+    option(parser, "-o --out OUT.mcap", "file to write", Path, required=True)
+    option(parser, "--json", "print the result as one JSON object")
     parser.set_defaults(handler=run_convert)
 
 
@@ -132,8 +113,8 @@ def _add_info(subparsers: Any) -> None:
         "or a profile, a model or a gains file.",
         epilog="example: fauio info flight.tlog",
     )
-    parser.add_argument("file", type=Path, metavar="FILE", help="recording, profile folder, MODEL.toml or GAINS.json")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    option(parser, "file FILE", "recording, profile folder, MODEL.toml or GAINS.json", Path)
+    option(parser, "--json", "print one JSON object")
     parser.set_defaults(handler=run_info)
 
 

@@ -8,6 +8,7 @@ import socket
 import sys
 from collections.abc import Iterator, Sequence
 
+from adapters.command_line import option
 from adapters.errors import FauioError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.byte_link import udp_address
@@ -78,9 +79,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("log", help="telemetry log (.tlog, .tlog.xz, .tlog.gz)")
     parser.add_argument("to", help="udp:HOST:PORT")
     parser.add_argument("--speed", type=float, default=1.0, help="times real time (default 1)")
-    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="seconds to leave out")
-    parser.add_argument("--stop", type=float, metavar="S", help="second to stop at")
-    parser.add_argument("--renumber", action="store_true", help="give packets consecutive sequence numbers")
+    option(parser, "--start S", "seconds to leave out", float, default=0.0)
+    option(parser, "--stop S", "second to stop at", float)
+    option(parser, "--renumber", "give packets consecutive sequence numbers")
     args = parser.parse_args(argv)
     try:
         count = send_tlog(args.log, args.to, args.speed, start_s=args.start, stop_s=args.stop, renumber=args.renumber)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adapters.command_line import remark, say
+from adapters.command_line import option, remark, say
 from adapters.zenoh.zenoh_session import DEFAULT_ENDPOINT, endpoints, open_session
 
 if TYPE_CHECKING:
@@ -41,11 +41,9 @@ def add_alarms(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: fauio alarms --history",
     )
     _add_where(alarms, vehicle="only this vehicle (default: all)")
-    alarms.add_argument("--history", action="store_true", help="begin with the past events in the monitor's journal")
-    alarms.add_argument("--json", action="store_true", help="print JSON lines, on a terminal too")
-    alarms.add_argument(
-        "--for", dest="seconds", metavar="S", type=float, help="stop after this many seconds (default: never)"
-    )
+    option(alarms, "--history", "begin with the past events in the monitor's journal")
+    option(alarms, "--json", "print JSON lines, on a terminal too")
+    option(alarms, "--for S", "stop after this many seconds (default: never)", float, dest="seconds")
     alarms.set_defaults(handler=run_alarms)
     commands = alarms.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
     for verb, what in _VERBS.items():
@@ -55,14 +53,12 @@ def add_alarms(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
             description=f"{what[0].upper()}{what[1:]}; the monitor's configuration has to allow it.",
             epilog=f"example: fauio alarms {verb} motors/motor1 --reason 'landing'",
         )
-        command.add_argument("target", metavar="ID|CHANNEL", help="the alarm: its id, motors/motor1, or motor1")
+        option(command, "target ID|CHANNEL", "the alarm: its id, motors/motor1, or motor1")
         if verb == "shelve":
-            command.add_argument(
-                "--minutes", type=float, metavar="N", help="minutes to shelve (default: the monitor's setting)"
-            )
-        command.add_argument("--reason", metavar="TEXT", help="reason, kept in the journal")
-        command.add_argument("--by", metavar="NAME", help="operator, kept in the journal (default: your user name)")
-        command.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print the reply as JSON")
+            option(command, "--minutes N", "minutes to shelve (default: the monitor's setting)", float)
+        option(command, "--reason TEXT", "reason, kept in the journal")
+        option(command, "--by NAME", "operator, kept in the journal (default: your user name)")
+        option(command, "--json", "print the reply as JSON", default=argparse.SUPPRESS)
         # also before the command: what is not given here must not undo what was given there
         _add_where(command, vehicle="vehicle of the alarm (default: found by the alarm)", default=argparse.SUPPRESS)
         command.set_defaults(handler=run_command)
@@ -76,39 +72,37 @@ def add_schema(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Print the JSON Schema of one kind of payload; without a name, all of them by name.",
         epilog="example: fauio schema alarm",
     )
-    schema.add_argument(
-        "name",
+    option(
+        schema,
+        "name NAME",
+        "alarm, alarms, estimate, status, command_request, command_reply or command_error (default: all)",
         nargs="?",
-        metavar="NAME",
-        help="alarm, alarms, estimate, status, command_request, command_reply or command_error (default: all)",
     )
     schema.set_defaults(handler=run_schema)
 
 
 def _add_where(parser: argparse.ArgumentParser, vehicle: str, default: str | None = None) -> None:
-    parser.add_argument("--vehicle", metavar="NAME", default=default or "*", help=vehicle)
+    option(parser, "--vehicle NAME", vehicle, default=default or "*")
     add_endpoints(parser, default)
 
 
 def add_endpoints(parser: argparse.ArgumentParser, default: str | None = None) -> None:
     """Add where monitors are to be found over Zenoh."""
-    parser.add_argument(
-        "--connect",
-        metavar="ENDPOINT",
+    option(
+        parser,
+        "--connect ENDPOINT",
+        f"Zenoh endpoint of a monitor or a router, may be repeated (default: {DEFAULT_ENDPOINT})",
         action="append",
         default=default,
-        help=f"Zenoh endpoint of a monitor or a router, may be repeated (default: {DEFAULT_ENDPOINT})",
     )
-    parser.add_argument(
-        "--zenoh-config",
-        type=Path,
-        metavar="FILE",
+    option(
+        parser,
+        "--zenoh-config FILE",
+        "Zenoh configuration with certificates or password, for a secured monitor; its endpoints are used",
+        Path,
         default=default,
-        help="Zenoh configuration with certificates or password, for a secured monitor; its endpoints are used",
     )
-    parser.add_argument(
-        "--prefix", metavar="KEY", default=default or "fauio", help="first part of the Zenoh keys (default: fauio)"
-    )
+    option(parser, "--prefix KEY", "first part of the Zenoh keys (default: fauio)", default=default or "fauio")
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import argparse
 import re
 from pathlib import Path
 
-from adapters.command_line import host_port, say
+from adapters.command_line import host_port, option, say
 from adapters.errors import UsageError
 from monitor.console.alarm_commands import add_endpoints, monitors
 
@@ -27,26 +27,20 @@ def add_console(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
         epilog="example: fauio console --commands --clips clips/",
     )
     add_endpoints(console)
-    console.add_argument(
-        "--listen", metavar="HOST:PORT", default="127.0.0.1:8600", help="address of the page (127.0.0.1:8600)"
-    )
-    console.add_argument(
+    option(console, "--listen HOST:PORT", "address of the page (127.0.0.1:8600)", default="127.0.0.1:8600")
+    option(
+        console,
         "--commands",
-        action="store_true",
-        help="let the page acknowledge, shelve and close alarms, if the monitor's configuration allows it",
+        "let the page acknowledge, shelve and close alarms, if the monitor's configuration allows it",
     )
-    console.add_argument(
-        "--token-file",
-        type=Path,
-        metavar="FILE",
-        help="file with the token that the page asks for; required unless --listen is on loopback",
+    option(
+        console,
+        "--token-file FILE",
+        "file with the token that the page asks for; required unless --listen is on loopback",
+        Path,
     )
-    console.add_argument(
-        "--host", metavar="NAME", action="append", default=[], help="host name under which browsers reach the page"
-    )
-    console.add_argument(
-        "--clips", type=Path, metavar="FOLDER", help="folder of alarms' clips that the page offers for download"
-    )
+    option(console, "--host NAME", "host name under which browsers reach the page", action="append", default=[])
+    option(console, "--clips FOLDER", "folder of alarms' clips that the page offers for download", Path)
     console.set_defaults(handler=run_console)
 
 

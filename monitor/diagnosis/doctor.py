@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from adapters.command_line import say_json
+from adapters.command_line import option, say_json
 
 if TYPE_CHECKING:
     from monitor.configuration.config import Config
@@ -45,18 +45,12 @@ def add_doctor(subparsers: Any) -> None:
         "Exit status: 0 no check failed, 2 a check failed.",
         epilog="example: fauio doctor --mavlink udpin:127.0.0.1:14550 --folder recordings/",
     )
-    parser.add_argument("profile", type=Path, nargs="?", metavar="PROFILE", help="profile folder, as for 'fauio run'")
-    parser.add_argument("--config", type=Path, metavar="FILE.toml", help="check what this configuration uses")
-    parser.add_argument(
-        "--listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint to listen on (tcp/127.0.0.1:7447)"
-    )
-    parser.add_argument(
-        "--mavlink", metavar="URL", action="append", help="MAVLink link to listen on (udpin:127.0.0.1:14550)"
-    )
-    parser.add_argument(
-        "--folder", metavar="DIR", type=Path, action="append", help="folder to write to (the current folder)"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    option(parser, "profile PROFILE", "profile folder, as for 'fauio run'", Path, nargs="?")
+    option(parser, "--config FILE.toml", "check what this configuration uses", Path)
+    option(parser, "--listen ENDPOINT", "Zenoh endpoint to listen on (tcp/127.0.0.1:7447)", action="append")
+    option(parser, "--mavlink URL", "MAVLink link to listen on (udpin:127.0.0.1:14550)", action="append")
+    option(parser, "--folder DIR", "folder to write to (the current folder)", Path, action="append")
+    option(parser, "--json", "print one JSON object")
     parser.set_defaults(handler=run_doctor)
 
 

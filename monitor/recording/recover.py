@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adapters.command_line import say, say_json
+from adapters.command_line import option, say, say_json
 from adapters.errors import FauioError, StorageError, UsageError
 
 if TYPE_CHECKING:
@@ -73,8 +73,8 @@ def add_recover(subparsers: Any) -> None:
         "'fauio run' does the same with its own folders when it starts. Files that are being written are not changed.",
         epilog="example: fauio recover recordings/",
     )
-    parser.add_argument("place", type=Path, metavar="FILE|FOLDER", help="MCAP file, or folder with such files below it")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    option(parser, "place FILE|FOLDER", "MCAP file, or folder with such files below it", Path)
+    option(parser, "--json", "print the result as one JSON object")
     parser.set_defaults(handler=run_recover)
 
 

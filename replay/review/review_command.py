@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adapters.command_line import remark, say, say_json
+from adapters.command_line import option, remark, say, say_json
 from replay.runs.replay_command import LOG_HELP
 
 if TYPE_CHECKING:
@@ -27,16 +27,10 @@ def add_review(subparsers: Any) -> None:
         "causes, and what could not be judged. Exit status: 0 nothing wrong found, 1 something was found, 2 bad input.",
         epilog="example: fauio review --quick healthy.tlog --report healthy.html",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=LOG_HELP)
-    parser.add_argument(
-        "--report", metavar="OUT.html", help="write a page with charts of the evidence; for several logs a folder"
-    )
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="use the rules only: do not learn the vehicle from the first 40 s of the flight",
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object per log")
+    option(parser, "logs LOG", LOG_HELP, Path, nargs="+")
+    option(parser, "--report OUT.html", "write a page with charts of the evidence; for several logs a folder")
+    option(parser, "--quick", "use the rules only: do not learn the vehicle from the first 40 s of the flight")
+    option(parser, "--json", "print one JSON object per log")
     parser.set_defaults(handler=run_review)
 
 

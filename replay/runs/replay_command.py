@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from adapters.command_line import remark, say, say_json
+from adapters.command_line import option, remark, say, say_json
 from adapters.errors import UsageError
 from adapters.output_file import naming
 
@@ -42,69 +42,44 @@ def add_replay(subparsers: Any) -> None:
         epilog="example: fauio replay quad/ flight.tlog --report flight.html\n"
         "example: fauio replay quad/ flights/ --jobs 4 --table summary.csv",
     )
-    parser.add_argument("profile", type=Path, metavar="PROFILE", help="profile folder")
-    parser.add_argument(
-        "logs", nargs="+", type=Path, metavar="LOG", help=f"{LOG_HELP}; any other folder: all recordings in it"
+    option(parser, "profile PROFILE", "profile folder", Path)
+    option(parser, "logs LOG", f"{LOG_HELP}; any other folder: all recordings in it", Path, nargs="+")
+    option(parser, "-o --out OUT.mcap", f"record telemetry, estimates and alarms{_FILE_OR_FOLDER}")
+    option(
+        parser,
+        "--alarms OUT.jsonl",
+        "write the alarm events as JSON lines; for several logs in their order, each with the key 'log'",
+        Path,
     )
-    parser.add_argument(
-        "-o", "--out", metavar="OUT.mcap", help=f"record telemetry, estimates and alarms{_FILE_OR_FOLDER}"
-    )
-    parser.add_argument(
-        "--alarms",
-        type=Path,
-        metavar="OUT.jsonl",
-        help="write the alarm events as JSON lines; for several logs in their order, each with the key 'log'",
-    )
-    parser.add_argument("--plot", metavar="OUT.png", help=f"plot estimates, thresholds and alarms{_FILE_OR_FOLDER}")
-    parser.add_argument("--dark", action="store_true", help="plot on a dark background")
-    parser.add_argument(
-        "--report",
-        metavar="OUT.html",
-        help=f"write a page: alarms, their certainty, what was not checked{_FILE_OR_FOLDER}",
-    )
-    parser.add_argument("--rrd", metavar="OUT.rrd", help=f"write a Rerun recording{_FILE_OR_FOLDER}")
-    parser.add_argument(
-        "--table", type=Path, metavar="OUT.csv", help="write a table with a row for each log; .csv or .parquet"
-    )
-    parser.add_argument(
-        "--vehicle", metavar="NAME", help="name in events (default: the recording's, otherwise the profile's)"
-    )
-    parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=MAPPING_HELP)
+    option(parser, "--plot OUT.png", f"plot estimates, thresholds and alarms{_FILE_OR_FOLDER}")
+    option(parser, "--dark", "plot on a dark background")
+    option(parser, "--report OUT.html", f"write a page: alarms, their certainty, what was not checked{_FILE_OR_FOLDER}")
+    option(parser, "--rrd OUT.rrd", f"write a Rerun recording{_FILE_OR_FOLDER}")
+    option(parser, "--table OUT.csv", "write a table with a row for each log; .csv or .parquet", Path)
+    option(parser, "--vehicle NAME", "name in events (default: the recording's, otherwise the profile's)")
+    option(parser, "--mapping FILE.toml", MAPPING_HELP, Path)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--jobs", type=int, metavar="N", help="replay logs in N processes, 1 or more (default: in this process)"
-    )
-    where.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help="replay logs on the Dask cluster of this scheduler; its workers have to reach logs and outputs under the "
+    option(where, "--jobs N", "replay logs in N processes, 1 or more (default: in this process)", int)
+    option(
+        where,
+        "--dask ADDRESS",
+        "replay logs on the Dask cluster of this scheduler; its workers have to reach logs and outputs under the "
         "same paths",
     )
-    parser.add_argument(
-        "--force", action="store_true", help="replay a log even if it is of another vehicle than the profile's"
-    )
-    parser.add_argument("--fail-on-alarm", action="store_true", help="exit with status 4 if an alarm was raised")
-    parser.add_argument("--verbose", action="store_true", help="print every event too: raised, updated, cleared")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per log")
+    option(parser, "--force", "replay a log even if it is of another vehicle than the profile's")
+    option(parser, "--fail-on-alarm", "exit with status 4 if an alarm was raised")
+    option(parser, "--verbose", "print every event too: raised, updated, cleared")
+    option(parser, "--json", "print one JSON object per log")
     live = parser.add_argument_group("as if live")
-    live.add_argument(
-        "--speed",
-        type=float,
-        metavar="X",
-        help="speed relative to real time, by the times of arrival (default: as fast as possible)",
+    option(
+        live, "--speed X", "speed relative to real time, by the times of arrival (default: as fast as possible)", float
     )
-    live.add_argument("--publish", action="store_true", help="publish alarms, estimates and status as the daemon does")
-    live.add_argument(
-        "--listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint to listen on (tcp/127.0.0.1:7447)"
-    )
-    live.add_argument("--connect", metavar="ENDPOINT", action="append", help="Zenoh endpoint to connect to")
-    live.add_argument("--allow-public", action="store_true", help="let Zenoh listen beyond this machine")
-    live.add_argument("--prefix", metavar="KEY", default="fauio", help="first part of the Zenoh keys (fauio)")
-    live.add_argument(
-        "--udp",
-        metavar="URL",
-        help="send the packets of a .tlog to udp:HOST:PORT, in real time unless --speed is given",
-    )
+    option(live, "--publish", "publish alarms, estimates and status as the daemon does")
+    option(live, "--listen ENDPOINT", "Zenoh endpoint to listen on (tcp/127.0.0.1:7447)", action="append")
+    option(live, "--connect ENDPOINT", "Zenoh endpoint to connect to", action="append")
+    option(live, "--allow-public", "let Zenoh listen beyond this machine")
+    option(live, "--prefix KEY", "first part of the Zenoh keys (fauio)", default="fauio")
+    option(live, "--udp URL", "send the packets of a .tlog to udp:HOST:PORT, in real time unless --speed is given")
     parser.set_defaults(handler=run_replay)
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from adapters.command_line import say, say_json
+from adapters.command_line import option, say, say_json
 
 INDEX_FILE: Final = "index.html"
 _EVERY_S: Final = 5.0
@@ -27,11 +27,11 @@ def add_watch(subparsers: Any) -> None:
         f"({INDEX_FILE}). Runs until it is interrupted, and continues from its reports when it is started again.",
         epilog="example: fauio watch logs/ --profile quad/ -o reports/\nexample: fauio watch logs/ -o reports/ --once",
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of new logs, with its subfolders")
-    parser.add_argument("--profile", type=Path, metavar="PROFILE", help="profile folder (default: logs are reviewed)")
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar="OUT", help="folder of the reports")
-    parser.add_argument("--once", action="store_true", help="process the present logs and end")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per log")
+    option(parser, "folder FOLDER", "folder of new logs, with its subfolders", Path)
+    option(parser, "--profile PROFILE", "profile folder (default: logs are reviewed)", Path)
+    option(parser, "-o --out OUT", "folder of the reports", Path, required=True)
+    option(parser, "--once", "process the present logs and end")
+    option(parser, "--json", "print one JSON object per log")
     parser.set_defaults(handler=run_watch)
 
 

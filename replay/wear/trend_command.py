@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adapters.command_line import remark, say, say_json
+from adapters.command_line import option, remark, say, say_json
 
 if TYPE_CHECKING:
     from replay.wear.trend import LoggedFlight
@@ -24,26 +24,21 @@ def add_trend(subparsers: Any) -> None:
         "monitor would raise an alarm.",
         epilog="example: fauio trend flights/ --profile quad/ --plot wear.png",
     )
-    parser.add_argument(
-        "flights",
+    option(
+        parser,
+        "flights FOLDER|TABLE",
+        "tables of fauio replay --table (.csv, .parquet), or logs and folders with logs (with --profile)",
+        Path,
         nargs="*",
-        type=Path,
-        metavar="FOLDER|TABLE",
-        help="tables of fauio replay --table (.csv, .parquet), or logs and folders with logs (with --profile)",
     )
-    parser.add_argument(
-        "--profile",
-        type=Path,
-        metavar="PROFILE",
-        help="profile folder to replay logs with; its fitted flights count too",
+    option(parser, "--profile PROFILE", "profile folder to replay logs with; its fitted flights count too", Path)
+    option(
+        parser,
+        "--since UTC",
+        "leave out flights before this time, for instance a service: 2026-11-23 or 2026-11-23T08:00",
     )
-    parser.add_argument(
-        "--since",
-        metavar="UTC",
-        help="leave out flights before this time, for instance a service: 2026-11-23 or 2026-11-23T08:00",
-    )
-    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="draw the trends")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    option(parser, "--plot OUT.png", "draw the trends", Path)
+    option(parser, "--json", "print one JSON object")
     parser.set_defaults(handler=run_trend)
 
 
