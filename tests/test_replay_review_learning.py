@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from synthetic_run import trace
+from synthetic_run import START_NS, event, trace
 
+from replay.player import Replay
 from replay.review.facts.log_facts import LearnedAlarm, LogFacts
-from replay.review.learning import _estimate
+from replay.review.learning import _alarms, _estimate
 
 
 def test_an_estimate_is_drawn_in_the_unit_of_its_alarm_s_sentence() -> None:
@@ -17,3 +20,12 @@ def test_an_estimate_is_drawn_in_the_unit_of_its_alarm_s_sentence() -> None:
     assert drawn is not None
     assert drawn.unit == "% of full thrust"
     assert np.nanmin(drawn.values) == pytest.approx(100.0 * run.isolated[run.armed, 0].min())
+
+
+def test_an_alarm_lasts_no_longer_than_anything_is_seen_of_it() -> None:
+    """A plane that lands is too slow for its surfaces: their alarm stands, and nothing speaks for it."""
+    run = trace()
+    seen = replace(run, armed=run.armed & (run.vehicle_ns < 11_000_000_000))
+    facts = LogFacts("ArduPilot", "plane", START_NS, 15.0, (), ((0.0, 15.0),), {})
+    (alarm,) = _alarms(Replay(events=(event(1000, "raised"),), traces=(seen,)), facts, 5.0)
+    assert (alarm.start_s, alarm.end_s) == (pytest.approx(10.0), pytest.approx(11.0, abs=0.02))

@@ -20,7 +20,7 @@ from monitor.vehicles.kinds import KINDS, fit_reading
 from monitor.views.panels import RunView, in_display_units
 from replay.fit import fit_profile
 from replay.player import Replay, interests, play_batches
-from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
+from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal, inside
 
 _KINDS = tuple(kind.name for kind in KINDS if kind.type_words)
 _LEARNED_S = 40.0
@@ -85,8 +85,13 @@ def _unlearned(facts: LogFacts, why: str) -> LogFacts:
 
 
 def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[LearnedAlarm]:
+    seen_s = {trace.layout.observer: (trace.unix_ns[trace.armed] - facts.start_ns) / 1e9 for trace in replay.traces}
     for span in alarm_spans(replay.events):
         start_s = (span.start_ns - facts.start_ns) / 1e9
+        end_s = facts.duration_s if span.end_ns is None else (span.end_ns - facts.start_ns) / 1e9
+        if (seen := seen_s.get(span.observer)) is not None:
+            # it stands on without evidence (a plane too slow for its surfaces), and does not last by that
+            end_s = float(np.max(seen[inside(seen, [(start_s, end_s)])], initial=start_s))
         typical = _typical(span)
         peak = max((abs(event.peak) for event in span.history if event.peak is not None), default=0.0)
         threshold = span.history[0].threshold
@@ -94,7 +99,7 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
             continue
         yield LearnedAlarm(
             start_s=start_s,
-            end_s=facts.duration_s if span.end_ns is None else (span.end_ns - facts.start_ns) / 1e9,
+            end_s=end_s,
             observer=span.observer,
             channel=span.channel,
             share=peak / threshold,
