@@ -224,10 +224,19 @@ def ardupilot_log(
     return path
 
 
-def telemetry(path: Path, flight: Flight, period_s: float = 0.25, first_output: int = 1, drift_m: float = 0.0) -> Path:
+def telemetry(
+    path: Path,
+    flight: Flight,
+    period_s: float = 0.25,
+    first_output: int = 1,
+    drift_m: float = 0.0,
+    unheard: tuple[float, float] = (0.0, 0.0),
+    estimator: Callable[[float], tuple[int, float]] | None = None,
+) -> Path:
     """Write a flight of ArduPilot as a ground station records it, its motors on four outputs from ``first_output`` on.
 
-    ``drift_m`` is by how much the barometer drifts until the vehicle arms.
+    ``drift_m`` is by how much the barometer drifts until the vehicle arms, ``unheard`` when the link is lost, after
+    which the estimator's height is sent, too, and ``estimator`` its flags and the ratio of its innovations.
     """
     packer = mavlink.MAVLink(None, 1, 1)
     packets = []
@@ -236,6 +245,8 @@ def telemetry(path: Path, flight: Flight, period_s: float = 0.25, first_output: 
         packets.append((0.0, mavlink.MAVLink_param_value_message(name, 33.0 + number, 9, 4, number)))
     for tick in range(int(flight.end_s / period_s)):
         at = tick * period_s
+        if unheard[0] <= at < unheard[1]:
+            continue
         pulses = [0] * 16
         pulses[first_output - 1 : first_output + 3] = (round(1000 + 1000 * share) for share in flight.motors(at))
         roll = [radians(flight.tilt_deg(at)), *[0.0] * 5]
@@ -247,6 +258,12 @@ def telemetry(path: Path, flight: Flight, period_s: float = 0.25, first_output: 
             (at, mavlink.MAVLink_scaled_pressure_message(round(1000 * at), 1013.25 - metres / 8.43, 0.0, 2000)),
             (at, mavlink.MAVLink_servo_output_raw_message(round(1e6 * at), 0, *pulses)),
         ]
+        if unheard[1] and at >= unheard[1]:
+            down = -flight.height(at)
+            packets.append((at, mavlink.MAVLink_local_position_ned_message(round(1000 * at), 0, 0, down, 0, 0, 0)))
+        if estimator is not None:
+            flags, ratio = estimator(at)
+            packets.append((at, mavlink.MAVLink_ekf_status_report_message(flags, 0.1, 0.1, ratio, 0.1, 0.0)))
     for at, text in flight.texts:
         packets.append((at, mavlink.MAVLink_statustext_message(2, text.encode())))
     written = ((round(1e6 * at) + 1_795_251_917_000_000).to_bytes(8) + said.pack(packer) for at, said in packets)

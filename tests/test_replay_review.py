@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,6 +26,7 @@ from synthetic_run import START_NS, event
 
 import fauio
 from monitor.alarms.command_watch import CommandSent
+from replay.player import Replay
 from replay.review import learning
 from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal, flown
 from replay.review.findings.loss_of_control import tumbles
@@ -531,7 +531,7 @@ def test_what_was_learned_does_not_hold_where_it_says_what_cannot_be(
     channel: str, relative: float | None, estimate: float, possible: bool
 ) -> None:
     said = {"channel": channel, "relative": relative, "estimate": estimate}
-    run = SimpleNamespace(events=[event(6000, "raised", **said), event(9000, "cleared", **said)])
+    run = Replay(events=(event(6000, "raised", **said), event(9000, "cleared", **said)))
     facts = LogFacts("PX4", "multirotor", START_NS, 100.0, (), ((0.0, 100.0),), {})
     assert [one.possible for one in learning._alarms(run, facts, 40.0)] == [possible]
 
@@ -627,6 +627,27 @@ def test_a_height_that_drifted_before_the_vehicle_armed_is_no_flight(tmp_path: P
         review.sentence
         == "The log shows no flight, it was armed for 53 s and never seen to leave the ground: nothing was judged."
     )
+
+
+def test_a_flight_that_begins_while_the_link_is_lost_is_one(tmp_path: Path) -> None:
+    """Heard again, the vehicle is armed and in the air, and the estimator's height begins there."""
+    review = rules_on(telemetry(tmp_path / "flight.tlog", Flight(), unheard=(0.75, 20.0)))
+    assert review.facts.flight == (pytest.approx((20.0, 53.5), abs=0.3),)
+
+
+@pytest.mark.parametrize(("flags", "found"), [(831, ["innovations_refused"]), (0, [])])
+def test_an_estimator_that_estimates_nothing_refuses_nothing(flags: int, found: list[str], tmp_path: Path) -> None:
+    """A rover's reports hold one value from boot on where its Kalman filter does not run."""
+    log = telemetry(tmp_path / "flight.tlog", Flight(), estimator=lambda _: (flags, 2.12))
+    assert names(rules_on(log)) == found
+
+
+def test_one_sample_in_the_air_shows_who_turned_over_and_fell(tmp_path: Path) -> None:
+    """A slow link has the next sample of the attitude from the ground, on which it stays upside down."""
+    flight = Flight(height=fallen, tilt_deg=lambda at: 170.0 * (at >= FALLS_S + 1.0))
+    review = rules_on(telemetry(tmp_path / "flight.tlog", flight, period_s=0.7))
+    assert review.facts.flight[-1][1] - (FALLS_S + 1.0) < 1.4
+    assert "turned_over" in names(review)
 
 
 @pytest.mark.parametrize(("period_s", "found"), [(0.5, ["motor_command_stopped"]), (2.3, [])])

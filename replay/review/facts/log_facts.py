@@ -70,7 +70,7 @@ class LogSignal:
 
     def above_begin(self) -> LogSignal:
         """Return a height above its median over the first seconds."""
-        begin = self.values[self.time_s < self.time_s[:1] + _BEGIN_S]
+        begin = self.values[self.time_s < self.time_s[:1] + BEGIN_S]
         return replace(self, values=self.values - np.nanmedian(begin, axis=0)) if self else self
 
     def angles_deg(self) -> LogSignal:
@@ -246,7 +246,7 @@ def off_ground(armed: Spans, height: LogSignal, receiver: LogSignal = NO_SIGNAL)
     spans: list[tuple[float, float]] = []
     for start, end in armed:
         flown = known.during(start, end)
-        ground = known.during(start - _BEGIN_S, start) or known.during(start, start + _BEGIN_S)
+        ground = known.during(start - BEGIN_S, start) or known.during(start, start + BEGIN_S)
         above = flown.only - np.median(ground.only) if ground else flown.only
         spans += spans_where(flown.time_s, above > lifted, 2.0)
     return spans
@@ -435,5 +435,5 @@ FIX_3D = 3
 """A fix in three dimensions: MAVLink's GPS_FIX_TYPE, PX4 and ArduPilot count alike."""
 _MOST_DEGREES = 360.0
 """What is larger is no degree: MAVLink and logs count 1e-7 of one."""
-_BEGIN_S = 2.0
+BEGIN_S = 2.0
 """Chosen: logs begin at arming, a vehicle takes off some seconds later; ten samples of the slowest barometer."""

@@ -13,6 +13,7 @@ from monitor.alarms.command_watch import COMMANDS, CommandSent, command_sent
 from replay.review.facts.ardupilot import output_commands
 from replay.review.facts.log_facts import (
     ANGLES,
+    BEGIN_S,
     LogFacts,
     LogRecords,
     LogSignal,
@@ -46,6 +47,11 @@ _ANNOUNCED = re.compile(
 )
 _CALLED_OFF = re.compile(r"^(pre)?arm|preflight|clear|recover|resolve|deactivat|disabl|not |\boff\b", re.IGNORECASE)
 """Texts by which autopilots say that they act on what went wrong, and those that say that it is over, or was not."""
+_ESTIMATORS = {
+    "EKF_STATUS_REPORT": ["velocity_variance", "pos_horiz_variance", "pos_vert_variance"],
+    "ESTIMATOR_STATUS": ["vel_ratio", "pos_horiz_ratio", "pos_vert_ratio"],
+}
+"""Reports of estimators, with their innovations as shares of the gates."""
 _MILLI = 1e-3
 _HECTOPASCAL_M = 8.43
 """Metres of height of a hectopascal at sea level: R T / (g M p) at 15 degrees and 1013.25 hPa."""
@@ -76,7 +82,12 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         landing = landed.changes(lambda state: state == _ON_GROUND)
         air = state_spans(landing, end_s, state=False)
     else:
-        air = off_ground(armed, first_known(signals["height_estimate"], signals["height"]))
+        # a gap of the recording may hide that it armed and took off: it stood at the last heartbeat before
+        stood = [(float(np.max(modes.time_s[modes.time_s < start], initial=0.0)), end) for start, end in armed]
+        heights = signals["height_estimate"], signals["height"]
+        # a height is above where it began: one that began in the air says nothing
+        grounded = [height for height in heights if any(height.during(0.0, at + BEGIN_S) for at, _ in stood[:1])]
+        air = off_ground(stood, first_known(*grounded, *heights))
     flight = overlap(air, armed)
     rotors = _ROTORS.get(kind, 0)
     if rotors:
@@ -97,12 +108,9 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
     signals["battery"] = replace(battery, time_s=battery.time_s[known], values=volts[known])
     signals["gps"] = get("GPS_RAW_INT", ["fix_type", "satellites_visible"], ["fix", "satellites"], "")
     signals["position"] = get("GPS_RAW_INT", ["lat", "lon", "fix_type"], ["north", "east", "fix"], "").way()
-    variances = ["velocity_variance", "pos_horiz_variance", "pos_vert_variance"]
-    ratios = ["vel_ratio", "pos_horiz_ratio", "pos_vert_ratio"]
     names = ["velocity", "position", "height"]
-    signals["ratios"] = first_known(
-        get("EKF_STATUS_REPORT", variances, names, ""), get("ESTIMATOR_STATUS", ratios, names, "")
-    )
+    reports = (get(name, ["flags", *columns], ["flags", *names], "") for name, columns in _ESTIMATORS.items())
+    signals["ratios"] = first_known(*map(_since_estimating, reports))
     vibration = get("VIBRATION", [f"vibration_{axis}" for axis in "xyz"], list("xyz"), "m/s2")
     if autopilot == ARDUPILOT:
         signals["vibration"] = vibration.each_sample("vibration", np.max)
@@ -113,6 +121,12 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         signals, (*_statements(records, system, kind, autopilot, modes), *state_statements(arming, landing)),
         tuple(_commands(records, system)), records.parameters, lacks,
     )  # fmt: skip
+
+
+def _since_estimating(report: LogSignal) -> LogSignal:
+    """Return an estimator's report from when it first flags an estimate: before, it tests no measurement."""
+    first = int(np.argmax(flagged)) if (flagged := report.only > 0).any() else len(flagged)
+    return replace(report, time_s=report.time_s[first:], values=report.values[first:, 1:], names=report.names[1:])
 
 
 def _vehicle(records: LogRecords) -> tuple[int, int, int]:

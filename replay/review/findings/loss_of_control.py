@@ -69,8 +69,10 @@ def tumbles(facts: LogFacts) -> list[tuple[float, float]]:
     attitude = facts.signal("attitude")
     if not attitude or facts.vehicle != "multirotor":
         return []
-    over = (tilts_deg(attitude) > _UPSIDE_DOWN) & facts.in_flight(attitude.time_s)
-    return [span for span in spans_where(attitude.time_s, over, _ON_ITS_BACK_S) if not undisturbed(facts, span[0])]
+    # from the air to the ground, on which it stays: a slow link has one sample of the fall
+    spans = spans_where(attitude.time_s, tilts_deg(attitude) > _UPSIDE_DOWN, _ON_ITS_BACK_S)
+    begun = facts.in_flight(np.array([start for start, _ in spans]))
+    return [span for span, flies in zip(spans, begun, strict=True) if flies and not undisturbed(facts, span[0])]
 
 
 def tilts_deg(attitude: LogSignal) -> Floats:
