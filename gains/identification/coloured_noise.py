@@ -60,19 +60,24 @@ def whitened(columns: FloatArray, own: NDArray[np.bool_], noise: Autoregression)
 
     ``columns`` (c, N) are both sides of the equations; ``own`` says which rows are known (N,).
     """
-    from scipy.signal import lfilter
-
     before = known_before(own)
     order = len(noise.variances) - 1
-    filtered = lfilter(np.append(1.0, -noise.coefficients[order]), [1.0], columns, axis=-1)
+    filtered = finite_response(np.append(1.0, -noise.coefficients[order]), columns)
     rows = np.flatnonzero(own & (before >= _LEAST))
-    for m in range(_LEAST, order):
-        short = rows[before[rows] == m]
-        if len(short):
-            predicted = np.cumsum(noise.coefficients[m] * columns[:, short[:, None] - 1 - np.arange(m)], axis=-1)
-            left = columns[:, short] - predicted[:, :, -1]
-            filtered[:, short] = left * np.sqrt(noise.variances[order] / noise.variances[m])
+    known = before[rows]
+    for m in np.unique(known[known < order]).tolist():
+        short = rows[known == m]
+        predicted = np.cumsum(noise.coefficients[m] * columns[:, short[:, None] - 1 - np.arange(m)], axis=-1)
+        left = columns[:, short] - predicted[:, :, -1]
+        filtered[:, short] = left * np.sqrt(noise.variances[order] / noise.variances[m])
     return rows, filtered[:, rows]
+
+
+def finite_response(taps: FloatArray, signals: FloatArray) -> FloatArray:
+    """Return sum_d h_d x(k-d) along the last axis, zero before its start."""
+    signals = np.ascontiguousarray(signals)
+    rows = signals.reshape(-1, signals.shape[-1])
+    return np.array([np.convolve(taps, row)[: len(row)] for row in rows]).reshape(signals.shape)
 
 
 def past_errors(errors: FloatArray, own: NDArray[np.bool_], rows: NDArray[np.intp], order: int) -> FloatArray:

@@ -37,6 +37,7 @@ from adapters.errors import ModelError
 from gains.identification.coloured_noise import (
     Autoregression,
     autoregression,
+    finite_response,
     known_before,
     past_errors,
     whitened,
@@ -397,13 +398,16 @@ class _Descent:
         own[: round(_UNKNOWN_S * self.rate_hz)] = False
         return own
 
-    def _columns(self, o: int) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
-        """Yield by stretch the residual of an axis and what its coefficients put into x (c, N), and rows that count."""
+    def _columns(
+        self, o: int, taps: FloatArray, moved: Sequence[FloatArray]
+    ) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
+        """Yield by stretch the residual of an axis and what its coefficients put into x (c, N), and rows that count.
+
+        ``moved`` are the derivatives of the taps.
+        """
         from scipy.signal import lfilter
 
         q = float(self.shared[_CURVES[o]])
-        taps = lag_taps(self.shared[:3], self.rate_hz)
-        moved = self._moved_taps(len(taps))
         a = float(self.a[o])
         for stretch in self.stretches:
             u, y = stretch.u, stretch.y[o]
@@ -433,8 +437,10 @@ class _Descent:
         H, gradient = prior.copy(), -pull
         blocks = np.cumsum([0, *(ceil(len(stretch.own) / (_BLOCK_S * self.rate_hz)) for stretch in self.stretches)])
         scores = np.zeros((blocks[-1], self.size))
+        taps = lag_taps(self.shared[:3], self.rate_hz)
+        moved = self._moved_taps(len(taps))
         for o in np.flatnonzero(~self.silent).tolist():
-            parts = list(self._columns(o))
+            parts = list(self._columns(o, taps, moved))
             mean = sum(columns[0, own].sum() for columns, own in parts) / sum(own.sum() for _, own in parts)
             noise = autoregression([columns[0] - mean for columns, _ in parts], [own for _, own in parts], _ORDER)
             part = self._places_of(o)
@@ -570,10 +576,8 @@ class _Descent:
 
 def _lagged(taps: FloatArray, v: FloatArray) -> FloatArray:
     """Return sum_d h_d v(k-d) along the last axis, v being constant before its start."""
-    from scipy.signal import lfilter
-
     first = v[..., :1]
-    return np.asarray(lfilter(taps, [1.0], v - first, axis=-1) + first * taps.sum())
+    return np.asarray(finite_response(taps, v - first) + first * taps.sum())
 
 
 _FAULT_RATE = 0.5
