@@ -21,8 +21,9 @@ demo: $(VENV)/.app
 console: $(VENV)/.app
 	$(BIN)/fauio demo copter --console
 
-# Processes that share the cores gain nothing from threads of their own.
+# Processes that share the cores gain nothing from threads of their own: in NumPy, and in Clarabel, whose spin.
 test test-long test-system: export OPENBLAS_NUM_THREADS = 1
+test test-long test-system: export RAYON_NUM_THREADS = 1
 # Tests start hundreds of processes; each would compile its modules anew where nothing may keep them.
 test test-long test-system: export PYTHONDONTWRITEBYTECODE =
 
