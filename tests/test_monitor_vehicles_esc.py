@@ -33,7 +33,7 @@ ORDER = (1, 3, 0, 2)
 
 @cache
 def flown_at_10_hz() -> list[Message]:
-    return list(flight(1, 40.0, esc_hz=10.0))
+    return list(flight(1, 30.0, esc_hz=10.0))
 
 
 def fit(logs: list[list[Message]], folder: Path) -> FitReport:
@@ -281,7 +281,7 @@ def test_what_is_lost_for_it_was_never_flown_is_told() -> None:
 
 
 def test_speeds_that_come_once_a_second_are_not_judged() -> None:
-    log = list(flight(1, 40.0, esc_hz=1.0))
+    log = list(flight(1, 25.0, esc_hz=1.0))
     assert fit_esc(FitRequest("quad", [lambda: packed(log)], (survey(packed(log)),)), GateRule()) is None
 
 

@@ -22,12 +22,12 @@ from replay.runs.many_logs import replay_in_processes
 from replay.runs.one_log import LogTask
 
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
-FLIGHTS = ("copter_gps_step25m", "copter_motor2_080", "copter_motor3_090")
+FLIGHTS = ("copter_gps_step25m", "copter_motor3_090")
 
 
 @pytest.fixture
 def flights(tmp_path: Path, data: Path) -> Path:
-    """Return a folder with three flights and a file that is none."""
+    """Return a folder with flights and a file that is none."""
     folder = tmp_path / "flights"
     folder.mkdir()
     for name in FLIGHTS:
@@ -62,23 +62,22 @@ def test_two_processes_find_what_one_finds(flights: Path, tmp_path: Path, capsys
     assert without_progress(one_said.err).count("\n") == 1
     logs = [f"{flights}/{name}.tlog.xz" for name in FLIGHTS]
     assert list(dict.fromkeys(event["log"] for event in one)) == logs
-    assert [event["channel"] for event in one if event["state"] == "raised"] == ["gps_north", "motor2", "motor3"]
+    assert [event["channel"] for event in one if event["state"] == "raised"] == ["gps_north", "motor3"]
     for name in FLIGHTS:
         first, second = (tmp_path / run / "out" / f"{name}.mcap" for run in ("one", "two"))
         assert first.read_bytes() == second.read_bytes()
 
 
 def test_a_process_that_dies_fails_its_log_alone(data: Path) -> None:
-    logs = [data / f"{name}.tlog.xz" for name in FLIGHTS]
-    tasks = [LogTask(log.name, log) for log in logs]
+    tasks = [LogTask(name, data / "copter_5s.tlog.xz") for name in ("a", "b", "c")]
     killed = threading.Thread(target=kill_first_child)
     killed.start()
     outcomes = list(replay_in_processes(read_profile(QUAD), tasks, 2))
     killed.join()
-    assert [outcome.log for outcome in outcomes] == [log.name for log in logs]
+    assert [outcome.log for outcome in outcomes] == ["a", "b", "c"]
     [failed] = [outcome for outcome in outcomes if outcome.error is not None]
     assert failed.error == f"{failed.log}: the process that replayed it was ended, perhaps for want of memory"
-    assert all(outcome.events for outcome in outcomes if outcome is not failed)
+    assert all(outcome.samples for outcome in outcomes if outcome is not failed)
 
 
 def kill_first_child() -> None:
@@ -99,7 +98,7 @@ def test_an_interrupt_ends_all_processes(flights: Path, data: Path) -> None:
         os.killpg(process.pid, signal.SIGINT)
         _, complaints = process.communicate(timeout=60)
     assert process.returncode == fauio.INTERRUPTED
-    assert complaints.count("\n") == 1
+    assert without_progress(complaints).count("\n") == 1
     assert "copter_garbage" in complaints
     until(lambda: not group_exists(process.pid))
 
