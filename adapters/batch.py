@@ -197,7 +197,7 @@ def cut(batch: Batch, start: int, stop: int) -> Batch:
     return Batch(stop - start, tuple(columns), others)
 
 
-def rows_of(columns: Columns, part: slice) -> Columns:
+def rows_of(columns: Columns, part: slice | NDArray[np.intp]) -> Columns:
     """Return some of the messages of columns, at the positions that they have."""
     return replace(
         columns,
@@ -207,7 +207,7 @@ def rows_of(columns: Columns, part: slice) -> Columns:
     )
 
 
-def _rows(fields: Fields, part: slice) -> Fields:
+def _rows(fields: Fields, part: slice | NDArray[np.intp]) -> Fields:
     if isinstance(fields, RecordFields):
         return RecordFields(fields.record[part], fields.places)
     return {name: values[part] for name, values in fields.items()}

@@ -25,7 +25,7 @@ from adapters.source import CLOCK, JOURNAL, LINK, MAVLINK, OPERATOR
 from monitor import blind
 from monitor.alarms import link_alarms
 from monitor.alarms.alarm import TUNABLE
-from monitor.alarms.command_watch import COMMANDS, CommandWatch, command_sent, commanded_systems
+from monitor.alarms.command_watch import COMMANDS, CommandWatch, StreamFilter, command_sent, commanded_systems
 from monitor.alarms.desk import AlarmDesk, DeskRule, desk_rule, rule_fields
 from monitor.alarms.excuse import Excuses, general_of
 from monitor.alarms.link_alarms import HEARTBEAT_NS, SET_BACK_NS, LinkAlarms, StaleAlarm
@@ -126,7 +126,7 @@ class Pipeline:
         if any(observer.supply is not None for observer in profile.observers):
             self._wanted |= {BATTERY_MESSAGE}
         self._stale = StaleAlarm(self.vehicle, profile.stale_s)
-        self._commands = CommandWatch()
+        self._commands, self._streams = CommandWatch(), StreamFilter()
         self._blind = BlindAlarm(self.vehicle, self._chains)
         self._desk = AlarmDesk(self.vehicle, DeskRule(), general_of(profile.excuses))
         self._system = profile.system if system is None else system
@@ -299,7 +299,9 @@ class Pipeline:
 
     def _run_accepted(self, batch: Batch, outputs: list[Estimates | AlarmEvent]) -> None:
         """Process the messages of a batch that matter, and count those of other senders."""
-        arrivals = Arrivals(batch, self._interests, self._wanted, self._system, self._component, self._phase)
+        arrivals = Arrivals(
+            batch, self._interests, self._wanted, self._system, self._component, self._phase, self._streams
+        )
         self.foreign += arrivals.foreign
         index = 0
         while index < arrivals.batch.count:

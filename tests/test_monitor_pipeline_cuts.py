@@ -129,6 +129,18 @@ def with_two_clocks(messages: list[Message], rng: random.Random) -> list[Message
     return found
 
 
+def with_commanders(messages: list[Message], rng: random.Random) -> list[Message]:
+    """Let others steer the vehicle, by streams and by single commands, to this vehicle, to others and to all."""
+    first_ns, last_ns = messages[0].received_ns, messages[-1].received_ns
+    names = ("RC_CHANNELS_OVERRIDE", "SET_ATTITUDE_TARGET", "SET_MODE", "MISSION_CLEAR_ALL")
+    sent = []
+    for _ in range(400):
+        sender, target = rng.choice(((66, 1), (67, 2), (255, 0)))
+        fields, at_ns = {"target_system": target, "target_component": 1}, rng.randrange(first_ns, last_ns)
+        sent.append(Message(MAVLINK, rng.choice(names), at_ns, fields, sender, 1))
+    return sorted([*messages, *sent], key=lambda message: message.received_ns)
+
+
 DISTORTIONS: tuple[Distortion, ...] = (
     as_they_come,
     lossy,
@@ -141,6 +153,7 @@ DISTORTIONS: tuple[Distortion, ...] = (
     with_floods,
     over_zenoh,
     with_forgeries,
+    with_commanders,
     with_two_clocks,
 )
 

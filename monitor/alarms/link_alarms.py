@@ -37,6 +37,8 @@ SET_BACK_NS = 10_000_000_000
 for less (``adapters/mavlink/byte_link.py``)."""
 _UPDATE_NS = 1_000_000_000
 """Updates are published at most once a second, as for all alarms."""
+_MOST_SAID = 3
+"""Senders that an alarm of commands names. Chosen: what a sentence can hold."""
 
 
 class LinkAlarms:
@@ -45,14 +47,17 @@ class LinkAlarms:
     ``signing`` is raised by the first packet whose signature is forged, replayed or missing although one is required,
     reports their number once a second, and clears after 10 s without another. ``link`` is raised if other telemetry
     goes on but the autopilot's heartbeat has not come for 10 s. ``impostor`` is active while messages contradict each
-    other in a way that only two senders explain. ``command`` reports risky commands of new senders in flight and floods
-    of commands, and clears after 10 s without another.
+    other in a way that only two senders explain. ``command`` reports all risky commands of new senders in flight and
+    floods of commands, and clears 10 s after the last of them.
     """
 
     def __init__(self, vehicle: str) -> None:
         self._vehicle = vehicle
         self._active: dict[str, AlarmEvent] = {}
         self._affected: list[str] = []  # channels that the active impostor alarm explains
+        self._commanded: dict[tuple[int, int] | str | None, str] = {}  # what the alarm of commands says, by sender
+        self._commanded_ns = 0  # when that changed
+        self._severity: Severity = "warning"  # of that alarm
         self._counts: dict[str, int] = {}
         self._baseline = 0
         self._last_ns: dict[str, int] = {}  # time of the last wrong signature, and of the last command
@@ -93,7 +98,15 @@ class LinkAlarms:
     def due_ns(self) -> int:
         """Unix time from which on a message may cause an event."""
         due = [self._last_ns[channel] + _QUIET_NS for channel in _ENDS if channel in self._active]
-        return min(due, default=LATEST_NS)
+        return min([*due, self._command_due_ns], default=LATEST_NS)
+
+    @property
+    def _command_due_ns(self) -> int:
+        """Unix time from which on the alarm of commands is updated: once a second at most."""
+        active = self._active.get(COMMAND)
+        if active is None or not self._commanded or active.message == "; ".join(self._commanded.values()):
+            return LATEST_NS
+        return max(self._commanded_ns, active.time_ns + _UPDATE_NS)
 
     def pass_over(self, heartbeat_ns: int, vehicle_ns: int) -> None:
         """Follow messages that cause no event: the newest heartbeat, and the vehicle's time at the last of them."""
@@ -126,24 +139,39 @@ class LinkAlarms:
 
     def quiet(self, now_ns: int) -> list[AlarmEvent]:
         """Advance the Unix time to ``now_ns``; return the events that this causes."""
+        said = self._command_said(now_ns)
         # At the end of the 10 s, regardless of when the next message comes.
         over = [
             (self._last_ns[channel] + _QUIET_NS, channel)
             for channel in _ENDS
             if channel in self._active and now_ns - self._last_ns[channel] >= _QUIET_NS
         ]
-        return [self._clear(channel, end_ns, _ENDS[channel]) for end_ns, channel in sorted(over)]
+        return said + [self._clear(channel, end_ns, _ENDS[channel]) for end_ns, channel in sorted(over)]
 
     def commanded(self, finding: CommandFinding, now_ns: int) -> list[AlarmEvent]:
         """Follow what a command shows; return the events that this causes."""
         if finding.weight == "information":
             return []
         self._last_ns[COMMAND] = now_ns
-        active = self._active.get(COMMAND)
-        if active is None:
+        if COMMAND not in self._active:
+            self._commanded, self._severity = {finding.sender: finding.text}, finding.weight
             return [self._raise(COMMAND, "security", finding.weight, now_ns, None, "", finding.text)]
-        severity: Severity = "critical" if "critical" in (active.severity, finding.weight) else "warning"
-        return [self._event(COMMAND, replace(active, severity=severity), "updated", now_ns, None, finding.text)]
+        if finding.weight == "critical":
+            self._severity = "critical"
+        sender: tuple[int, int] | str | None = finding.sender
+        text = finding.text
+        if sender not in self._commanded and len(self._commanded) >= _MOST_SAID:
+            sender, text = "others", "others command it, too"
+        if self._commanded.get(sender) != text:
+            self._commanded[sender], self._commanded_ns = text, now_ns
+        return self._command_said(now_ns)
+
+    def _command_said(self, now_ns: int) -> list[AlarmEvent]:
+        due_ns, active = self._command_due_ns, self._active.get(COMMAND)
+        if active is None or now_ns < due_ns:
+            return []
+        active, text = replace(active, severity=self._severity), "; ".join(self._commanded.values())
+        return [self._event(COMMAND, active, "updated", due_ns, None, text)]
 
     def silent(self) -> None:
         """Forget the heartbeat, since all telemetry has stopped: it is not missed until it has come again."""
@@ -155,6 +183,8 @@ class LinkAlarms:
             self._active.pop(event.channel, None)
             return
         self._active[event.channel] = event
+        if event.channel == COMMAND:
+            self._commanded, self._severity = {}, event.severity
         if event.channel in _ENDS:
             self._last_ns[event.channel] = event.time_ns
 

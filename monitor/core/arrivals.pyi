@@ -3,6 +3,7 @@ from typing import NamedTuple
 
 from adapters.batch import Batch
 from adapters.message import Message
+from monitor.alarms.command_watch import StreamFilter
 from monitor.sampling.phase import FlightPhase
 
 class Segment(NamedTuple):
@@ -22,6 +23,7 @@ class Arrivals:
         system: int,
         component: int,
         phase: FlightPhase,
+        streams: StreamFilter,
     ) -> None: ...
     def __len__(self) -> int: ...
     def message(self, i: int) -> Message: ...

@@ -46,6 +46,8 @@ cdef class Arrivals:
         MAVLink ids of the vehicle; component 0: any.
     phase : FlightPhase
         The flight phase before the batch.
+    streams : StreamFilter
+        What of commands that come as streams is left out.
 
     Attributes
     ----------
@@ -62,7 +64,7 @@ cdef class Arrivals:
     cdef list _owners
     cdef dict _reports
 
-    def __init__(self, batch, names, wanted, int system, int component, phase):
+    def __init__(self, batch, names, wanted, int system, int component, phase, streams):
         cdef Py_ssize_t count = batch.count, i, kept = 0
         self.batch, self._count = batch, count
         self._owners, self._reports = [], {}
@@ -73,16 +75,19 @@ cdef class Arrivals:
             self._arrivals[i].owner = -1
         for columns in batch.columns:
             if _commands(columns, system):
-                self._add_columns(columns, 0, BEGINS)
+                columns = streams.rows(columns, system)
+                if len(columns.position):
+                    self._add_columns(columns, 0, BEGINS)
             elif not _is_of(columns, system, component):
                 self.foreign += len(columns.position)
             elif columns.name in names:
                 self._add_columns(columns, columns.name in wanted, 0)
         for i, message in batch.others.items():
             if _commands(message, system):
-                self._add(i, message.received_ns, 0)
-                self._owners.append(message)
-                self._arrivals[i].marks |= BEGINS
+                if streams.passes(message, system):
+                    self._add(i, message.received_ns, 0)
+                    self._owners.append(message)
+                    self._arrivals[i].marks |= BEGINS
             elif not _is_of(message, system, component):
                 self.foreign += 1
             elif message.name in names:

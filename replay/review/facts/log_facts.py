@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch
 from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
-from monitor.alarms.command_watch import COMMANDS, CommandSent
+from monitor.alarms.command_watch import COMMANDS, CommandSent, StreamFilter
 from monitor.vehicles.kinds import KINDS
 
 Floats = NDArray[np.float64]
@@ -295,15 +295,17 @@ class LogRecords:
         self._columns: dict[tuple[str, int], list[tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]]] = {}
         self.rows: dict[tuple[str, int], list[tuple[int, int, Mapping[str, Any]]]] = {}
         self.parameters: dict[str, float] = {}
+        streams = StreamFilter()
         for batch in batches:
             for group in batch.columns:
                 if not len(group.position):
                     continue
                 self._columns.setdefault((group.name, group.system), []).append((group.received_ns, group.fields))
                 if group.name in ROWS:
+                    kept = streams.rows(group)
                     self.rows.setdefault((group.name, group.system), []).extend(
-                        (int(at), group.component, {key: column[row].tolist() for key, column in group.fields.items()})
-                        for row, at in enumerate(group.received_ns)
+                        (int(at), group.component, {key: column[row].tolist() for key, column in kept.fields.items()})
+                        for row, at in enumerate(kept.received_ns)
                     )
             for message in batch.others.values():
                 if message.name in PARAMETER_MESSAGES and (known := parameter(message)) is not None:

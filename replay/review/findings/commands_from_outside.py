@@ -3,37 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 
-from monitor.alarms.command_watch import FLOOD, CommandWatch, ends_flight
+from monitor.alarms.command_watch import FLOOD, CommandSent, CommandWatch, ends_flight
 from replay.review.facts.log_facts import LogFacts
-from replay.review.findings.rule import Judgement, Rule
+from replay.review.findings.rule import Judgement, Rule, Weight
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     watch, flood_s = CommandWatch(), None
     flown = facts.in_flight(np.array([command.time_s for command in facts.commands]))
+    found: dict[tuple[int, int], Judgement] = {}
     for command, flies in zip(facts.commands, flown.tolist(), strict=True):
         for said in watch.follow(command, flies):
-            if said.kind == "flood":
+            if said.sender is None:
                 flood_s = command.time_s if flood_s is None else flood_s
                 continue
-            known = ", ".join(f"system {system}, component {component}" for system, component in sorted(watch.known))
             ends = ends_flight(command.name, command.values)
-            # a command without a name is a number of MAV_CMD
-            name = f"MAV_CMD {command.name}" if command.name.isdigit() else command.name
-            yield Judgement(
-                span=(command.time_s, command.time_s),
+            # a vehicle that does not fly is disarmed at the end of each drive, by whoever has it at hand
+            weight = said.weight if facts.flies or not ends else "information"
+            before = found.get(said.sender)
+            if before is None:
+                known = ", ".join(f"system {system}, component {number}" for system, number in sorted(watch.known))
+                found[said.sender] = Judgement(
+                    span=(command.time_s, command.time_s),
+                    text=said.text,
+                    evidence=(_evidence(command),),
+                    counter=(
+                        f"commands before take-off came from {known}" if known else "no command came before take-off",
+                    ),
+                    confidence="likely" if known else "possible",
+                    weight=weight,
+                )
+                continue
+            found[said.sender] = replace(
+                before,
+                span=(before.start_s, command.time_s),
                 text=said.text,
-                evidence=(f"{name} at {command.time_s:.2f} s with {', '.join(map(str, command.values)) or 'nothing'}",),
-                counter=(
-                    f"commands before take-off came from {known}" if known else "no command came before take-off",
-                ),
-                confidence="likely" if known else "possible",
-                # a vehicle that does not fly is disarmed at the end of each drive, by whoever has it at hand
-                weight=said.weight if facts.flies or not ends else "information",
+                evidence=before.evidence if said.text == before.text else (*before.evidence, _evidence(command)),
+                weight=max(before.weight, weight, key=get_args(Weight).index),
             )
+    yield from found.values()
     if flood_s is not None:
         yield Judgement(
             span=(flood_s, flood_s + 1.0),
@@ -43,11 +56,17 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
         )
 
 
+def _evidence(command: CommandSent) -> str:
+    # a command without a name is a number of MAV_CMD
+    name = f"MAV_CMD {command.name}" if command.name.isdigit() else command.name
+    return f"{name} at {command.time_s:.2f} s with {', '.join(map(str, command.values)) or 'nothing'}"
+
+
 RULE = Rule(
     title="Commands from a new sender in flight",
     stage="link",
-    physics="Without signing a vehicle obeys every sender. An attacker disarms, reboots, changes the mode, rewrites "
-    "the mission or changes safety parameters; the vehicle obeys, and nothing fails.",
+    physics="Without signing a vehicle obeys every sender. An attacker disarms, reboots, changes the mode, steers it, "
+    "rewrites the mission, files or safety parameters; the vehicle obeys, and nothing fails.",
     evidence="such a command in flight from ids that had not commanded before take-off; more than "
     f"{FLOOD} commands a second",
     counter=(
