@@ -171,7 +171,7 @@ class EvidenceFlow:
         if self.overdue:
             return [] if never else [self.reason(now_ns, contested)]
         return [
-            (f"no {group.label}", f"no_message {group.messages[0]}")
+            (f"no {self._name_of(group)}", f"no_message {group.messages[0]}")
             for group, late in zip(self.groups, self._overdue, strict=True)
             if late and group.messages and not never.issuperset(group.messages)
         ]
@@ -216,8 +216,11 @@ class EvidenceFlow:
     def _labels(self, lost: NDArray[np.bool_]) -> Iterator[str]:
         for group in self.groups:
             if lost[group.columns].all():
-                # messages that come all the same may be too late, or of no time that can be told
-                yield group.label or f"usable {' and '.join(group.messages) or self.name}"
+                yield self._name_of(group)
+
+    def _name_of(self, group: _Group) -> str:
+        # messages that come all the same may be too late, or of no time that can be told
+        return group.label or f"usable {' and '.join(group.messages) or self.name}"
 
     def _label_of(self, message: str) -> str:
         return next((group.label for group in self.groups if group.label and message in group.messages), message)

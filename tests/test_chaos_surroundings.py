@@ -80,6 +80,16 @@ def flood(monitor: Monitor) -> None:
     send_for(monitor, FAULT_BEGINS_S, packets[:200], 0.01)
 
 
+def command(monitor: Monitor) -> None:
+    """Let a stranger steer the vehicle and disarm it, some thousand messages a second."""
+    kinds, sender = chaos.ardupilotmega, chaos.ardupilotmega.MAVLink(None, srcSystem=66, srcComponent=1)
+    steers = kinds.MAVLink_manual_control_message(1, 900, 0, 500, 0, 0)
+    disarms = kinds.MAVLink_command_long_message(1, 1, 400, 0, 0.0, 21196.0, 0, 0, 0, 0, 0)
+    send_for(monitor, FAULT_BEGINS_S, [bytes(message.pack(sender)) for message in (steers, disarms)] * 10, 0.01)
+    (raised,) = [one for one in monitor.hear() if (one.channel, one.state) == ("command", "raised")]
+    assert "system 66, component 1, which had not commanded before, disarms" in raised.message
+
+
 def half_open_peers(monitor: Monitor) -> None:
     """Connect to Zenoh again and again: peers that say nothing, and others that say nonsense."""
     host, port = monitor.endpoint.removeprefix("tcp/").split(":")
@@ -110,6 +120,7 @@ TROUBLES: dict[str, Callable[[Monitor], None]] = {
     "journal deleted": delete_journal,
     "64 vehicles at once": crowd,
     "another vehicle floods": flood,
+    "a stranger commands": command,
     "half-open Zenoh peers": half_open_peers,
     "busy host": busy_host,
 }

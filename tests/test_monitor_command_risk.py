@@ -18,6 +18,7 @@ from monitor.alarms.command_watch import command_risk
         ("PARAM_SET", ("FENCE_ENABLE", 0.0), "sets FENCE_ENABLE"),
         ("PARAM_SET", ("COM_DL_LOSS_T", 999.0), "sets COM_DL_LOSS_T"),
         ("PARAM_SET", ("LOG_BITMASK", 0.0), None),
+        ("PARAM_SET", ("ATC_RAT_RLL_P", 9.0), "sets ATC_RAT_RLL_P"),
         ("MISSION_COUNT", (3,), "rewrites the mission"),
         ("MISSION_COUNT", (3, 1, 0), "rewrites the fence"),
         ("MISSION_CLEAR_ALL", (1,), "rewrites the fence"),

@@ -1,7 +1,7 @@
 """Who commands a vehicle in flight, and how often: the same rule for live telemetry, replays and reviews of logs.
 
-MAVLink without signing obeys everybody. An attacker disarms, reboots, changes the mode, rewrites the mission or takes
-safety parameters away; the vehicle does as it is told, and nothing fails.
+MAVLink without signing obeys everybody. An attacker disarms, reboots, changes the mode, rewrites the mission or
+changes parameters; the vehicle does as it is told, and nothing fails.
 """
 
 from __future__ import annotations
@@ -105,12 +105,8 @@ COMMANDS: Final = frozenset(
     }
 )  # fmt: skip
 """Names of the messages that command a vehicle."""
-SAFETY_PARAMETERS = (
-    "FS_", "FENCE_", "ARMING_", "BATT_FS", "BATT_LOW", "BATT_CRT", "GCS_", "RTL_ALT", "SYSID_", "BRD_SAFETY",
-    "DISARM_DELAY", "COM_", "NAV_DLL_ACT", "NAV_RCL_ACT", "GF_", "CBRK_", "BAT_", "RTL_RETURN_ALT", "EKF2_GPS_CHECK",
-    "MAV_PROTO", "MAV_SYS_ID",
-)  # fmt: skip
-"""Begins of parameters that decide what a vehicle does when something fails, of ArduPilot and of PX4."""
+_HARMLESS_PARAMETERS = ("CAM", "LOG_", "MNT", "NTF_", "OSD", "SDLOG_", "SR0_", "SR1_", "SR2_", "STAT_", "TRIG_")
+"""Begins of parameters of ArduPilot and PX4 that a flight does not depend on: logs, rates of telemetry, payload."""
 _MOST_SENDERS = 64
 """Senders that are remembered. Chosen: more than ever command one vehicle; forged ids cost no memory beyond."""
 _MOST_RISKS = 5
@@ -237,7 +233,7 @@ def command_risk(name: str, values: Sequence[float | str]) -> str | None:
         return _PLAN_TYPES.get(int(plan), "rewrites the mission") if isinstance(plan, int | float) else None
     if name in _SETS_PARAMETERS:
         parameter = next((value for value in values if isinstance(value, str)), "")
-        return f"sets {parameter}" if parameter.startswith(SAFETY_PARAMETERS) else None
+        return f"sets {parameter}" if parameter and not parameter.startswith(_HARMLESS_PARAMETERS) else None
     first = values[0] if values else None
     exactly = _RISKS_WITH.get((name, first)) if isinstance(first, int | float) else None
     return exactly or _RISKS.get(name) or _STREAMS.get(name)

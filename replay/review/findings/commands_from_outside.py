@@ -66,7 +66,7 @@ RULE = Rule(
     title="Commands from a new sender in flight",
     stage="link",
     physics="Without signing a vehicle obeys every sender. An attacker disarms, reboots, changes the mode, steers it, "
-    "rewrites the mission, files or safety parameters; the vehicle obeys, and nothing fails.",
+    "rewrites the mission, files or parameters; the vehicle obeys, and nothing fails.",
     evidence="such a command in flight from ids that had not commanded before take-off; more than "
     f"{FLOOD} commands a second",
     counter=(
