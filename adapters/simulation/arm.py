@@ -224,42 +224,33 @@ def _integrate(
     """Return the state at ``end_s``; ``f_a`` holds the signals that act all the while."""
     steps = max(1, math.ceil((end_s - start_s) / MAX_STEP_S - 1e-9))
     h = (end_s - start_s) / steps
+    half, (x_1, x_2, x_3, x_4) = 0.5 * h, state
     for step in range(steps):
         now = start_s + step * h
         drive = [
             (u + sum([signal(s) for signal in f_a]) if f_a else u, disturbance * 0.2 * math.sin(10.0 * s))
             for s in (now, now + 0.5 * h, now + h)
         ]
-        k_1 = _slope(state, *drive[0])
-        k_2 = _slope(_along(state, k_1, 0.5 * h), *drive[1])
-        k_3 = _slope(_along(state, k_2, 0.5 * h), *drive[1])
-        k_4 = _slope(_along(state, k_3, h), *drive[2])
-        state = _along(state, _mean(k_1, k_2, k_3, k_4), h)
-    return state
+        (torque_1, w_1), (torque_2, w_2), (torque_3, w_3) = drive
+        a_2, a_4 = _accelerations(x_1, x_2, x_3, torque_1, w_1)
+        p_1, p_2, p_3, p_4 = x_1 + half * x_2, x_2 + half * a_2, x_3 + half * x_4, x_4 + half * a_4
+        b_2, b_4 = _accelerations(p_1, p_2, p_3, torque_2, w_2)
+        q_1, q_2, q_3, q_4 = x_1 + half * p_2, x_2 + half * b_2, x_3 + half * p_4, x_4 + half * b_4
+        c_2, c_4 = _accelerations(q_1, q_2, q_3, torque_2, w_2)
+        r_1, r_2, r_3, r_4 = x_1 + h * q_2, x_2 + h * c_2, x_3 + h * q_4, x_4 + h * c_4
+        d_2, d_4 = _accelerations(r_1, r_2, r_3, torque_3, w_3)
+        x_1 += h * ((x_2 + 2.0 * (p_2 + q_2) + r_2) / 6.0)
+        x_2 += h * ((a_2 + 2.0 * (b_2 + c_2) + d_2) / 6.0)
+        x_3 += h * ((x_4 + 2.0 * (p_4 + q_4) + r_4) / 6.0)
+        x_4 += h * ((a_4 + 2.0 * (b_4 + c_4) + d_4) / 6.0)
+    return x_1, x_2, x_3, x_4
 
 
-def _slope(x: ArmState, torque: float, w_1: float) -> ArmState:
-    """Return A x + B (u + f_a) + G sin(x_3) + E_1 w_1."""
-    twist = x[0] - x[2]
-    return (
-        x[1],
-        -_STIFF_MOTOR * twist - _DAMPING * x[1] + _TORQUE * torque,
-        x[3],
-        _STIFF_LINK * twist - _GRAVITY * math.sin(x[2]) + w_1,
-    )
-
-
-def _along(x: ArmState, slope: ArmState, h: float) -> ArmState:
-    return (x[0] + h * slope[0], x[1] + h * slope[1], x[2] + h * slope[2], x[3] + h * slope[3])
-
-
-def _mean(a: ArmState, b: ArmState, c: ArmState, d: ArmState) -> ArmState:
-    return (
-        (a[0] + 2.0 * (b[0] + c[0]) + d[0]) / 6.0,
-        (a[1] + 2.0 * (b[1] + c[1]) + d[1]) / 6.0,
-        (a[2] + 2.0 * (b[2] + c[2]) + d[2]) / 6.0,
-        (a[3] + 2.0 * (b[3] + c[3]) + d[3]) / 6.0,
-    )
+def _accelerations(x_1: float, x_2: float, x_3: float, torque: float, w_1: float) -> tuple[float, float]:
+    """Return the slopes of x_2 and x_4 in A x + B (u + f_a) + G sin(x_3) + E_1 w_1; of the others they are states."""
+    twist = x_1 - x_3
+    motor = -_STIFF_MOTOR * twist - _DAMPING * x_2 + _TORQUE * torque
+    return motor, _STIFF_LINK * twist - _GRAVITY * math.sin(x_3) + w_1
 
 
 def _start(torque: Torque) -> tuple[ArmState, ArmSignal]:
