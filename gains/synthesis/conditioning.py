@@ -119,11 +119,17 @@ def doubled(X: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray:
 
     SciPy's solvers order a generalised Schur form, and give up on the continuous arm without noise.
     """
+    riccati = bool(G.any())  # without G it is Lyapunov's equation
     for _ in range(_DOUBLINGS):
-        W = np.linalg.inv(np.eye(len(X)) + G @ H)
-        step = X.T @ H @ W @ X
-        G, H, X = G + X @ W @ G @ X.T, H + step, X @ W @ X
-        G, H = 0.5 * (G + G.T), 0.5 * (H + H.T)
+        left, right = X.T @ H, X
+        if riccati:
+            W = np.linalg.inv(np.eye(len(X)) + G @ H)
+            left, right = left @ W, right @ W
+            G = G + right @ G @ X.T
+            G = 0.5 * (G + G.T)
+        step = left @ X
+        H, X = H + step, right @ X
+        H = 0.5 * (H + H.T)
         if not np.all(np.isfinite(H)):
             raise np.linalg.LinAlgError
         if np.max(np.abs(step)) <= 1e-10 * np.max(np.abs(H)):

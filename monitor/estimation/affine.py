@@ -109,13 +109,13 @@ def _passed_on(gains: Gains) -> dict[int, Held]:
     size, s = _states(gains), len(gains.inputs)
     passed_on: dict[int, Held] = {}
     sources = {size + j: Held(0, j) for j in range(s)}
-    for _ in range(size):
-        for i in range(size):
-            (columns,) = np.nonzero(gains.step_matrix[i])
-            if i in passed_on or len(columns) != 1 or gains.step_matrix[i, columns[0]] != 1.0:
-                continue
-            newer = sources.get(int(columns[0]))
-            if newer is None:
+    into = gains.step_matrix[:size]
+    copies = np.flatnonzero(((into != 0.0).sum(axis=1) == 1) & ((into == 1.0).sum(axis=1) == 1))
+    copied = dict(zip(copies.tolist(), into[copies].argmax(axis=1).tolist(), strict=True))
+    for _ in copied:
+        for i, source in copied.items():
+            newer = sources.get(source)
+            if i in passed_on or newer is None:
                 continue
             past = Held(newer.delay + 1, newer.source)
             start = np.arange(gains.initial_matrix.shape[1]) == past.source

@@ -16,6 +16,7 @@ step of either kind is a single product, as any other.
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,8 @@ class CoastingMaps(NamedTuple):
     resume: StepMap
 
 
+# A bank asks for them to run its observers, and once more for their errors.
+@functools.lru_cache(maxsize=64)
 def coasting_maps(gains: Gains) -> CoastingMaps:
     """Return the steps of a compiled observer while measurements are missing and when they return."""
     s, p, n, a = len(gains.inputs), len(gains.outputs), len(gains.states), len(gains.faults)
