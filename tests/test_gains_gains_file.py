@@ -34,7 +34,7 @@ def gains() -> Gains:
         (multirotor(), 1),
         (random_plant(34, 1, 1), 2),
         (random_plant(32, 0, 1), 1),
-        (random_plant(33, 2, 1, nonlinear=2), 1),
+        (random_plant(33, 1, 0, nonlinear=2), 1),
     ],
 )
 def test_gains_read_back_to_the_same_bits(plant: Plant, order: int, tmp_path: Path) -> None:

@@ -43,6 +43,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     for kind, topic in (("fix", FIX), ("odometry", ODOMETRY)):
         for name, topics in runs.items():
+            if (kind, name) == ("odometry", "gyro"):  # no test asks for it
+                continue
             bag(folder / f"{kind}_{name}.mcap", topics, IMU, topic)
     # as `fauio record --zenoh` writes them: JSON under names without types
     with MessageLogWriter(folder / "live.mcap") as writer:

@@ -109,7 +109,7 @@ def test_a_forced_replay_of_another_vehicle_says_so_in_verdict_json_table_and_re
 
 
 def test_a_replay_of_the_profiles_vehicle_says_nothing_of_it(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fauio.main(["replay", QUAD, str(data / "copter_motor3_090.tlog.xz"), "--json"]) == 0
+    assert fauio.main(["replay", QUAD, str(data / "copter_5s.tlog.xz"), "--json"]) == 0
     assert "mismatch" not in json.loads(capsys.readouterr().out)
 
 
