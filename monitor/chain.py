@@ -197,12 +197,8 @@ class ChainRun:
     # another way
     commands: Mapping[int, NDArray[np.float64]]
     effects: Mapping[int, EffectivenessRun]
-    # smoothed estimate of each fault under its own hypothesis, named or not (n, a), effect units
-    smoothed: NDArray[np.float64]
-    unexplained: NDArray[np.float64]  # score of what no hypothesis explains (n,), zero if one does
-    # how many times its threshold each fault has to reach (n, a), 1 or more, and the level of the residuals (n,)
-    scale: NDArray[np.float64]
-    level: NDArray[np.float64]
+    found: EstimatorRun  # the estimator's own result, in effect units
+    scale: NDArray[np.float64]  # how many times its threshold each fault has to reach (n, a), 1 or more
     sudden_sd: NDArray[np.float64] | None  # the standard deviation of a sudden change's size (n,)
     unflown: NDArray[np.bool_] | None = None  # rows whose y counts as lost because it is unlike the fitted flights (n,)
 
@@ -247,18 +243,8 @@ class ObserverChain:
         sooner: Sequence[str] = (),
     ) -> None:
         gains = profile.gains[0]
-        names = tuple(channel.name for channel in profile.faults)
-        self.layout = Layout(
-            observer=profile.name,
-            rate_hz=gains.rate_hz,
-            inputs=gains.inputs,
-            outputs=gains.outputs,
-            states=gains.states,
-            faults=names,
-            fault_units=tuple(channel.unit for channel in profile.faults),
-            usual_commands=tuple(map(profile.usual_commands.get, names)),
-            smoothing_s=profile.isolation.smoothing_s,
-        )
+        self.layout = _layout(profile)
+        names = self.layout.faults
         observer = AffineObserver(profile.gains)
         rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s or observer.settling_s()))
         self.source, self.settle_s = profile.source, rule.settle_s
@@ -302,14 +288,9 @@ class ObserverChain:
         self._alarm_of[self._faults] = np.arange(len(self._faults))
         jumping = edge_faults(profile.isolation)
         for alarm in self._alarms[: len(self._faults)]:
-            channel = alarm.rule.channel
+            name, jumps = alarm.rule.channel, alarm.rule.channel in jumping
             self._excuses.add(
-                channel,
-                alarm.state,
-                profile.name,
-                jumps=channel in jumping,
-                affect=alarm.affect,
-                withdraw=alarm.withdraw,
+                name, alarm.state, profile.name, jumps=jumps, affect=alarm.affect, withdraw=alarm.withdraw
             )
         for alarm in self._alarms if sooner else ():
             self._excuses.add_beside(alarm.rule.channel, alarm.state, sooner, alarm.rule.slow_s)
@@ -508,10 +489,8 @@ class ObserverChain:
             self._faults,
             commands,
             effects,
-            found.smoothed,
-            found.unexplained,
+            found,
             scale,
-            found.level,
             None if changes is None else changes.sd,
             given.unflown,
         )
@@ -519,6 +498,21 @@ class ObserverChain:
     def _named(self, run: ChangeRun) -> tuple[NDArray[Any], ...]:
         """Return the alarm whose sudden change each row names, with its nats, size, growth and onset."""
         return self._alarm_of[run.named], run.nats, run.size, run.growth, run.onset_ns
+
+
+def _layout(profile: ObserverProfile) -> Layout:
+    gains, names = profile.gains[0], tuple(channel.name for channel in profile.faults)
+    return Layout(
+        observer=profile.name,
+        rate_hz=gains.rate_hz,
+        inputs=gains.inputs,
+        outputs=gains.outputs,
+        states=gains.states,
+        faults=names,
+        fault_units=tuple(channel.unit for channel in profile.faults),
+        usual_commands=tuple(map(profile.usual_commands.get, names)),
+        smoothing_s=profile.isolation.smoothing_s,
+    )
 
 
 def known_together(change: ChangeRun, position: NDArray[np.int64]) -> ChangeRun:

@@ -145,6 +145,5 @@ def measured_settling_s(observer: ObserverProfile, gate: GateRule, flights: Sequ
 
 
 def _smoothed(observer: ObserverProfile, gate: GateRule, flight: Flight) -> NDArray[np.float64]:
-    return (
-        ObserverChain(observer, "healthy", gate, VehicleClock()).estimate(Given(flight.samples), flight.armed).smoothed
-    )
+    chain = ObserverChain(observer, "healthy", gate, VehicleClock())
+    return chain.estimate(Given(flight.samples), flight.armed).found.smoothed

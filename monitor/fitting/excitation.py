@@ -59,9 +59,9 @@ def fit_excitation(
     for run, stretches in healthy_runs(observer, gate, flights):
         samples = run.estimates.samples
         stage = ExcitationStage(none, observer.gains[0].outputs, samples.u.shape[1], observer.rate_hz)
-        causes = stage.run(samples, run.level)
-        sizes = run.smoothed[:, actuators] / unit / np.sqrt(run.level)[:, None]
-        held = run.estimates.isolated[:, actuators] / unit / np.sqrt(run.level)[:, None]
+        causes = stage.run(samples, run.found.level)
+        sizes = run.found.smoothed[:, actuators] / unit / np.sqrt(run.found.level)[:, None]
+        held = run.estimates.isolated[:, actuators] / unit / np.sqrt(run.found.level)[:, None]
         error += [sizes[rows] for rows in stretches]
         believed += [held[rows] for rows in stretches]
         excited += [causes[rows, :2] for rows in stretches]

@@ -120,9 +120,9 @@ def healthy_evidence(
     levelled = [observer.excitation is None and channel.name not in edges for channel in observer.faults]
     found = []
     for run, stretches in healthy_runs(observer, gate, flights):
-        sizes = run.smoothed if own else run.estimates.isolated
-        scale = np.where(levelled, np.maximum(run.scale, np.sqrt(run.level)[:, None]), run.scale)
-        evidence = np.column_stack([sizes / scale, run.unexplained])
+        sizes = run.found.smoothed if own else run.estimates.isolated
+        scale = np.where(levelled, np.maximum(run.scale, np.sqrt(run.found.level)[:, None]), run.scale)
+        evidence = np.column_stack([sizes / scale, run.found.unexplained])
         found += [evidence[rows] for rows in stretches]
     return found
 

@@ -535,7 +535,7 @@ def _lasting(
     flights, scales = [], []
     for run, stretches in healthy_runs(observer, gate, identified.flights):
         rows = np.concatenate([np.arange(found.start, found.stop) for found in stretches or [slice(0, 0)]])
-        flights.append(run.smoothed[rows][:, motors] / list(watched.values()))
+        flights.append(run.found.smoothed[rows][:, motors] / list(watched.values()))
         scales.append(run.scale[rows][:, motors])
     return scatter(flights, identified.model.rate_hz), float(np.concatenate(scales).mean())
 
