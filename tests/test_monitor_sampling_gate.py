@@ -95,6 +95,16 @@ def test_what_reports_that_it_flies_counts_from_commands_of_hovering_on() -> Non
     assert admitted(rule, unloaded, (phase(), 1100)).index(True) == 1002
 
 
+def test_what_stands_on_the_ground_counts_no_more_although_it_is_still_reported_to_fly() -> None:
+    rule = GateRule(settle_s=0.02, airborne_command=0.3)
+    landing = commanded(*[0.6] * 10, *[0.1] * 60, *[0.5] * 20, *[0.6] * 10)
+    assert admitted(rule, landing, (phase(), 100)) == [False] * 2 + [True] * 58 + [False] * 32 + [True] * 8
+    dropping = commanded(*[0.6] * 10, *([0.1] * 45 + [0.4] * 5) * 3)
+    assert admitted(rule, dropping, (phase(), 160)) == [False] * 2 + [True] * 158
+    # never again, however long it goes on to report that
+    assert not any(admitted(rule, commanded(0.6, *[0.1] * 1200), (phase(), 1201))[60:])
+
+
 def test_raw_signals_of_sensors_are_no_commands() -> None:
     source = SampleSource((Channel("zmag", "A", ("zmag",)),))
     messages = [
@@ -182,15 +192,16 @@ def test_a_restart_settles_anew() -> None:
 
 
 @given(
-    st.lists(st.sampled_from([0.1, 0.4, 0.6]), min_size=1, max_size=40),
-    st.lists(st.integers(0, 39), max_size=3),
-    st.lists(st.integers(0, 40), max_size=5),
+    st.lists(st.sampled_from([0.1, 0.4, 0.6]), min_size=1, max_size=20),
+    st.lists(st.integers(0, 399), max_size=3),
+    st.lists(st.integers(0, 400), max_size=5),
     st.sampled_from([None, 2]),
 )
 def test_where_samples_are_cut_makes_no_difference(
     commands: Sequence[float], restarts: Sequence[int], cuts: Sequence[int], landed: int | None
 ) -> None:
-    samples, rule = commanded(*commands), GateRule(settle_s=0.03, airborne_command=0.3)
+    samples = commanded(*np.repeat(commands, 20).tolist())
+    rule = GateRule(settle_s=0.03, airborne_command=0.3)
     samples.restart[[row for row in restarts if row < len(samples)]] = True
     known, gate = phase(landed=landed), FlightGate(rule)
     places = [0, *sorted(min(cut, len(samples)) for cut in cuts), len(samples)]
