@@ -11,7 +11,6 @@ import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
-from operator import itemgetter
 from types import MappingProxyType
 from typing import Any
 
@@ -48,6 +47,8 @@ RULES = "rules"
 RESET = "reset"
 STANDING = "standing"
 """Name of the message with the alarms that were active before a restart; recordings hold it."""
+_LARGEST_SYSTEM = 255
+"""MAVLink's ids have one byte."""
 _OFFSET_LETTERS = 20
 """Largest signed whole number of 64 bits."""
 _LANDED_NS = 3 * SECOND_NS
@@ -285,12 +286,18 @@ class Pipeline:
         """Process the messages before the one that sets the system to monitor; return the others."""
         senders: list[tuple[int, Message | Columns]] = list(batch.others.items())
         senders += [(int(columns.position[0]), columns) for columns in batch.columns]
-        identifying = [(index, sender) for index, sender in senders if self.identifies(sender)]
-        first, sender = min(identifying, key=itemgetter(0), default=(batch.count, None))
+        identifying = [(index, system) for index, sender in senders if (system := self._system_of(sender))]
+        first, system = min(identifying, default=(batch.count, 0))
         self._run_accepted(cut(batch, 0, first), outputs)
-        if sender is not None:
-            self.accepts(sender)
+        self._system = system
         return cut(batch, first, batch.count)
+
+    def _system_of(self, sender: Message | Columns) -> int:
+        """Return the system that a message tells to monitor: its sender, or the one a daemon was told; 0 for none."""
+        if sender.source is OPERATOR and sender.name == RULES and isinstance(sender, Message):
+            system = sender.fields.get("system")
+            return system if type(system) is int and 0 < system <= _LARGEST_SYSTEM else 0
+        return sender.system if self.identifies(sender) else 0
 
     def identifies(self, sender: Message | Columns) -> bool:
         """Return whether the vehicle to monitor may have sent this: it is one of the profile's messages."""
@@ -561,8 +568,11 @@ def _commands(message: Message) -> bool:
     return message.source is MAVLINK and message.name in COMMANDS
 
 
-def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:
-    """Return the message that applies the desk's rule and a profile's alarm sizes from now on."""
+def rules_message(rule: DeskRule, profile: Profile, now_ns: int, system: int = 0) -> Message:
+    """Return the message that applies the desk's rule and a profile's alarm sizes from now on.
+
+    ``system`` is the one that was to be monitored from the start: a replay monitors it from the start, too.
+    """
     alarms = {
         observer.name: {
             alarm.channel: {key: value for key, value in asdict(alarm).items() if key in TUNABLE}
@@ -570,7 +580,7 @@ def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:
         }
         for observer in profile.observers
     }
-    return Message(OPERATOR, RULES, now_ns, {**rule_fields(rule), "alarms": alarms})
+    return Message(OPERATOR, RULES, now_ns, {**rule_fields(rule), "alarms": alarms, "system": system})
 
 
 def handover_message(

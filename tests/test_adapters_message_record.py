@@ -96,6 +96,7 @@ def test_rules_of_operators_have_a_schema_and_are_json_that_every_reader_takes(t
         "out_of_service": [],
         "flood_raised": 10,
         "flood_s": 60.0,
+        "system": 1,
         "alarms": {"motors": {"motor1": {"threshold": 0.05, "fast": inf}}},
     }
     message = Message(OPERATOR, "rules", 5, fields)

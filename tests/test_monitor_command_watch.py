@@ -192,6 +192,18 @@ def test_a_strangers_commands_in_flight_are_an_alarm(profile: Profile, flight: l
     assert events[2].time_ns == at_ns + 12_000_000_000
 
 
+def test_a_replay_of_a_daemons_recording_knows_who_commanded_before_any_telemetry(
+    profile: Profile, flight: list[Message]
+) -> None:
+    first_ns = flight[0].received_ns
+    at_ns = flight[-1].received_ns - 20_000_000_000
+    attacked = with_commands(flight[1:], [long(400, 0.0, at_ns)])
+    [live, *_] = [one for one in Pipeline(profile, system=1).run(pack(attacked)) if isinstance(one, AlarmEvent)]
+    [replayed, *_] = events_of(profile, [rules_message(DeskRule(), profile, first_ns, 1), *attacked])
+    assert (live.severity, replayed.severity) == ("critical", "critical")
+    assert replayed == live
+
+
 def test_the_alarm_lasts_as_long_as_a_stranger_steers_and_says_what_else_he_does(
     profile: Profile, flight: list[Message], tmp_path: Path
 ) -> None:

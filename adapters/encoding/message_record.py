@@ -35,6 +35,7 @@ _OWN_SCHEMAS: Mapping[tuple[Source, str], Schema] = {
         out_of_service=_TEXTS,
         flood_raised={"type": "integer"},
         flood_s={"type": "number"},
+        system={"type": "integer"},
         # sizes and times of each rule, by observer and channel
         alarms={
             "type": "object",

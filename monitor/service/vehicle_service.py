@@ -85,7 +85,8 @@ class VehicleService:
         self._decided_ns = time.monotonic_ns()
         self._status_ns = self._flushed_ns = self._decided_ns - zlib.crc32(monitor.name.encode()) % STATUS_NS
         now_ns = time.time_ns()
-        monitor.process(pack([rules_message(desk, monitor.pipeline.profile, now_ns)]))
+        pipeline = monitor.pipeline
+        monitor.process(pack([rules_message(desk, pipeline.profile, now_ns, pipeline.system)]))
         if config.standby.enabled:
             # With history: events published while this monitor was not running belong in its journal too.
             if config.standby.key_file is None:
