@@ -22,6 +22,9 @@ CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
 """The usual names of clock fields and the nanoseconds they count, the first one that a message has being its clock."""
 STANDARD_GRAVITY = 9.80665
 """Standard acceleration of free fall, m/s^2 (ISO 80000-3); MAVLink counts thousandths of it."""
+SPEED, COURSE = "gps_speed", "gps_course"
+"""Channels that are length and direction of one vector, the velocity over ground. Between two of them it lies on a
+straight line: a vehicle that stops and goes back the other way does not turn meanwhile."""
 MAX_VALUE = 1e12
 """Beyond it no vehicle measures anything, in any unit; an observer that believed it would be blind for seconds."""
 MAX_COMMAND = 2.0

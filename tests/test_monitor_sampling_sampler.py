@@ -95,6 +95,23 @@ def test_a_channel_with_a_period_is_interpolated_the_shorter_way_round() -> None
         assert (sample.y[0] - truth + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9)
 
 
+def test_between_two_velocities_over_ground_lies_a_vector_and_no_turn_at_speed() -> None:
+    # braking from 3 m/s to the north to as much to the south, drifting east with 0.1 m/s
+    over_ground = [Channel("gps_speed", "A", ("v",)), Channel("gps_course", "A", ("course",), period=360.0)]
+    times = range(7_000, 3_100_000, 200_000)
+    north, east = [3.0 - 2.0 * t / 1e6 for t in times], 0.1
+    messages = [
+        message("A", t, v=math.hypot(v, east), course=math.degrees(math.atan2(east, v)) % 360.0)
+        for t, v in zip(times, north, strict=True)
+    ]
+    samples = feed(sampler([], over_ground), messages)
+    assert len(samples) > 200
+    for sample in samples:
+        speed, course = sample.y[0], math.radians(sample.y[1])
+        assert speed * math.cos(course) == pytest.approx(3.0 - 2.0 * sample.vehicle_time_ns / 1e9, abs=1e-9)
+        assert speed * math.sin(course) == pytest.approx(east, abs=1e-9)
+
+
 MEAN = Channel("command", "B", ("command",), interpolation="mean")
 COURSE = Channel("course", "B", ("command",), interpolation="mean", period=360.0)
 

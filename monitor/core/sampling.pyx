@@ -14,12 +14,13 @@ their order count:
    as its stamp lies after the last tick given out or skipped; otherwise it is late: dropped and counted.
 3. The grid starts when four measurements of every channel are there. Tick k is given out as soon as every
    channel has a measurement at or after t_k: ``linear`` channels are interpolated between the two
-   measurements around t_k, ``previous`` ones hold the newest at or before it, ``mean`` ones take the mean over
-   t_k to t_k+1 of the straight lines between measurements (what a quick command did until the next tick of a slow
-   grid, which has to be waited for). So a sample comes at most one period of the slowest channel after its time,
-   or after the next tick. Where measurements of a channel came late, as rule 2 has it, a tick between neighbours so far
-   apart that one was lost waits until the newest is as far ahead of them as one was late in the last 10 to 20 s
-   (half a second at most): one between them may still come. On a link that keeps the order nothing waits.
+   measurements around t_k (speed and course over ground as the vector that they are), ``previous`` ones hold the
+   newest at or before it, ``mean`` ones take the mean over t_k to t_k+1 of the straight lines between measurements
+   (what a quick command did until the next tick of a slow grid, which has to be waited for). So a sample comes at most
+   one period of the slowest channel after its time, or after the next tick. Where measurements of a channel came late,
+   as rule 2 has it, a tick between neighbours so far apart that one was lost waits until the newest is as far ahead of
+   them as one was late in the last 10 to 20 s (half a second at most): one between them may still come. On a link that
+   keeps the order nothing waits.
 4. A channel's nominal period is the median of its last 31 steps from stamp to stamp; where the grid is slower its
    period takes the place. Lines between measurements up to 1.75 periods apart are as good as measurements. Are those
    around t_k (with ``mean``: any two neighbours whose line is used) further apart, some were lost in between, and the
@@ -55,13 +56,13 @@ from typing import NamedTuple
 import numpy as np
 
 from adapters.batch import RecordFields
-from adapters.channels import CLOCK_UNITS_NS, STOPPED, field_steps
+from adapters.channels import CLOCK_UNITS_NS, COURSE, SPEED, STOPPED, field_steps
 from adapters.sample import Samples
 
 from cpython.buffer cimport PyBUF_SIMPLE, PyBUF_STRIDES, PyBUF_WRITABLE
 from cpython.buffer cimport PyBuffer_Release, PyObject_GetBuffer
 from cpython.mem cimport PyMem_Free, PyMem_Realloc
-from libc.math cimport NAN, fmod, isfinite, rint
+from libc.math cimport M_PI, NAN, atan2, cos, fmod, hypot, isfinite, rint, sin
 from libc.stdlib cimport qsort
 from libc.string cimport memcmp, memcpy, memmove, memset
 
@@ -604,6 +605,9 @@ cdef nanoseconds _median(nanoseconds* steps, Py_ssize_t count) noexcept:
 
 cdef enum Kind:
     _LINEAR
+    # Of the two that are one vector, which is interpolated as such.
+    _SPEED
+    _COURSE
     _PREVIOUS
     _MEAN
 
@@ -826,13 +830,27 @@ cdef class Lane:
         cdef double* left = self.row(0)
         cdef double* right = self.row(1)
         cdef Column* column
-        cdef int i
+        cdef double angle, along, across
+        cdef int i, speed = -1, course = -1
         for i in range(self.width):
             column = self.columns + i
-            if column.kind == _LINEAR:
+            if column.kind < _PREVIOUS:
                 vector[column.place] = left[i] + _turned(left[i], right[i], column.period) * fraction
             elif column.kind == _PREVIOUS:
                 vector[column.place] = left[i]
+            if column.kind == _SPEED:
+                speed = i
+            elif column.kind == _COURSE:
+                course = i
+        if speed < 0 or course < 0:
+            return
+        # the line between two velocities, along and across the first of them
+        column = self.columns + course
+        angle = 2.0 * M_PI / column.period * _turned(left[course], right[course], column.period)
+        along = (1.0 - fraction) * left[speed] + fraction * right[speed] * cos(angle)
+        across = fraction * right[speed] * sin(angle)
+        vector[self.columns[speed].place] = hypot(along, across)
+        vector[column.place] = left[course] + column.period / (2.0 * M_PI) * atan2(across, along)
 
     cdef void copy(self, double* vector) noexcept:
         """Write the values of the oldest measurement into [u; y]."""
@@ -968,6 +986,10 @@ cdef class Stream:
                 lane.averages = True
             elif channel.interpolation == "previous":
                 column.kind = _PREVIOUS
+            elif channel.name == COURSE and channel.period:
+                column.kind = _COURSE
+            elif channel.name == SPEED:
+                column.kind = _SPEED
         if fitted and lane.averages:
             # between one and two measurements a tick
             lane.seldom = max(LINE_PERIODS * fitted, 3 * tick // 4)

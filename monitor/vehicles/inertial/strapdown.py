@@ -33,6 +33,7 @@ from math import exp, isfinite
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.channels import COURSE, SPEED
 from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
 from monitor.core.navigation import Navigation
@@ -40,7 +41,7 @@ from monitor.core.strapdown import StrapdownCore
 from monitor.sampling.scaled import check_parameters, raw_per_sample
 
 IMU = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "roll", "pitch", "yaw")
-GPS = ("lat", "lon", "gps_alt", "gps_speed", "gps_course")
+GPS = ("lat", "lon", "gps_alt", SPEED, COURSE)
 BODY_SPEED = ("speed_x", "speed_y", "speed_z")
 BAROMETER = ("baro_alt",)
 MAGNETOMETER = ("xmag", "ymag", "zmag")

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.channels import Channel
+from adapters.channels import COURSE, SPEED, Channel
 from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
 from monitor.alarms.excuse import ExcuseRule
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 OBSERVER = "airspeed"
 _PARAMETERS = ("scale", "noise", "level", "minimum_speed")
-_GPS = ("gps_speed", "gps_course", "gps_alt")
+_GPS = (SPEED, COURSE, "gps_alt")
 _SIGNALS = ("airspeed", *_GPS, "yaw")
 _FASTEST_HZ = 10.0
 """Chosen: autopilots filter airspeed by 1 to 2 Hz, GPS receivers have 5 to 10 fixes a second."""
