@@ -114,7 +114,7 @@ cdef class Navigation:
     cdef void shake(self, int k, double change) noexcept
     cdef double shaken(self, int axis, int first) noexcept
     cdef void point(self, const double* field, const double* R) noexcept
-    cdef void meet(self, const double* velocity) noexcept
+    cdef void meet(self, const double* velocity, double line_s) noexcept
     cdef bint believed(self) noexcept
     cdef double field_spread(self) noexcept
     cdef bint steps(self, int m, double off, double variance, double least) noexcept

@@ -24,12 +24,13 @@ filter's own gains (Willsky and Jones 1976): a bias of a gyro tilts the attitude
 square of time, one of an accelerometer at once in proportion to it, and both turn with the body, which an error of the
 GPS's velocity does not. For every hypothesis and onset of the latest seconds
 
-    l = (sum s' S^-1 nu)^2 / (2 sum s' S^-1 s)
+    l = (sum s' S^-1 nu)^2 / (2 (sum s' S^-1 s + 1 / sigma^2))
 
-is how much likelier the innovations are with that fault than without (natural logarithm). A hypothesis is believed when
-its largest l is beyond a level and beyond those of all others; its fault is then put into the state, with its
-uncertainty, and is followed there until it is small. Its size f^ = b^(t) - b^(t_0) is the bias less that at the onset:
-what the filter has followed of the fault before it was believed is a part of it, and both biases are uncertain,
+is how much likelier the innovations are with that fault, whose size has the standard deviation sigma, than without
+(natural logarithm). A hypothesis is believed when its largest l is beyond a level and beyond those of all others; its
+fault is then put into the state, with its uncertainty, and is followed there until it is small. Its size f^ = b^(t) -
+b^(t_0) is the bias less that at the onset: what the filter has followed of the fault before it was believed is a part
+of it, and both biases are uncertain,
 
     var f^ = P_b(t) + P_b(t_0) - 2 cov <= P_b(t) + P_b(t_0),
 
@@ -68,7 +69,8 @@ cdef double[4] _WALK = [1e-3, 0.05, 1e-4, 5e-3]
 cdef double _HALF_BELOW = 6.0 * 0.455
 cdef double _NOISE_S = 1.0
 # Noise of a GPS's velocity (0.1 m/s, 50 % circular, in data sheets), how late or early against the others it may be
-# (quarter of the time between two fixes of 5 Hz), and noise of the autopilot's heading.
+# (quarter of the time between two fixes of 5 Hz; of a longer line over lost ones as well), and noise of the autopilot's
+# heading.
 cdef double _SPEED_NOISE = 0.1
 cdef double _TIMING_S = 0.05
 cdef double _HEADING_NOISE = 0.1
@@ -115,6 +117,10 @@ cdef double _RAMPS_S = 3.0
 # Largest bias that is believed, rad/s and m/s^2: what is more is no navigation of this flight any more. Chosen: ten and
 # six times those of which flights were recorded; with it no autopilot keeps the vehicle in the air.
 cdef double[2] _MOST = [1.0, 4.0]
+# The largest is so many standard deviations of the sizes that faults have; those of the GPS's ramps are taken as those
+# of accelerometers. Where the filter follows a fault as fast as it grows, little is left to tell its size by: 0.1 m/s
+# that are off for another reason then look like 2.5 m/s^2, five times the standard deviation of that estimate.
+cdef double _SIGMAS = 3.0
 # A heading this far off, rad, is that of another start: the autopilot has set its attitude anew, to a right one or to a
 # wrong one. It counts again when the way that the vehicle goes agrees with it, within twice its noise.
 cdef double _TURNED = 0.5
@@ -364,8 +370,8 @@ cdef class Navigation:
                 + self._R[3 * i + 2] * m[(_BG + 2) * apart]
             )
 
-    cdef void meet(self, const double* velocity) noexcept:
-        """Compare with a fix of the GPS and the field's direction, correct, and judge."""
+    cdef void meet(self, const double* velocity, double line_s) noexcept:
+        """Compare with a fix, on a line so long over lost ones, and the field's direction; correct and judge."""
         cdef double[3] innovation
         cdef double[3] variance
         cdef Signature* newest
@@ -380,7 +386,7 @@ cdef class Navigation:
         for i in range(2):
             self._offset[i] += self._drift[i] * self._ticks * self._dt
             innovation[i] = velocity[i] - self._offset[i] - self._velocity[i]
-            variance[i] = _SPEED_NOISE * _SPEED_NOISE + (_TIMING_S * self._sharp[i]) ** 2
+            variance[i] = _SPEED_NOISE * _SPEED_NOISE + (fmax(_TIMING_S, 0.25 * line_s) * self._sharp[i]) ** 2
             self._sharp[i] *= _PEAK_KEPT
             steps |= self.steps(i, innovation[i], variance[i] + self._P[_V + i][_V + i], _SPEED_LEAST)
         if steps:
@@ -609,7 +615,7 @@ cdef class Navigation:
             for h in range(HYPOTHESES):
                 if signature.energy[h] <= 0.0:
                     continue
-                likelihood = 0.5 * signature.matched[h] * signature.matched[h] / signature.energy[h]
+                likelihood = 0.5 * signature.matched[h] * signature.matched[h] / (signature.energy[h] + _rarity(h))
                 if likelihood > best[h]:
                     best[h], onset[h] = likelihood, k
                 if h < 5 and self._faulty[h]:
@@ -748,6 +754,11 @@ cdef class Navigation:
                     variance += H[i] * self._P[i][j] * H[j]
             return sqrt(variance)
         return sqrt(self._P[_BG + which][_BG + which] + (self._doubt[which] if self._faulty[which] else 0.0))
+
+
+cdef inline double _rarity(int h) noexcept:
+    """Return one over the variance of a hypothesis' size before anything is measured; a jump may be of any size."""
+    return (_SIGMAS / _MOST[h >= 3]) ** 2 if h < _JUMP or h >= _RAMP else 0.0
 
 
 cdef inline void _turned(const double* R, const double* turn, double* result) noexcept:

@@ -358,7 +358,7 @@ cdef class StrapdownCore:
         self._speeds = speeds
         # Behind the values: whether their measurements lack.
         self._motion = _Delay.__new__(_Delay, imu_ticks, 6)
-        self._fixes = _Delay.__new__(_Delay, gps_ticks, 6)
+        self._fixes = _Delay.__new__(_Delay, gps_ticks, 7)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
         self._levels = _Delay.__new__(_Delay, compass_ticks, 8)
         self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, _SENSED)
@@ -432,7 +432,7 @@ cdef class StrapdownCore:
         cdef const long long[:, :] lines = (
             samples.lines_ns if samples.lines_ns is not None else np.zeros(samples.lost.shape, np.int64)
         )
-        cdef double line_s, growth
+        cdef double line_s, fix_line_s, growth
         cdef int field = 9 + (3 + self._speeds) * self._gps + self._baro
         cdef Py_ssize_t row, count = 0, most = 0
         cdef double[_WIDEST] now
@@ -468,10 +468,11 @@ cdef class StrapdownCore:
             # Gyros that come too seldom to be integrated are compared as they come: a line hides nothing of them.
             for i in range(0 if self._learned and not lacks[_IMU] else 6):
                 line_s = max(line_s, 1e-9 * lines[row, i])
+            fix_line_s = 1e-9 * lines[row, 9] if self._gps else 0.0
             self._faint = self._mag and 1e-9 * lines[row, field] > _FIELD_LINE_S
             if self._faint:
                 self._doubt[_MAG] = self._longest + 1
-            if not self.tick(&raw[row, 0], lacks, not complete[row], line_s, now, places, meant):
+            if not self.tick(&raw[row, 0], lacks, not complete[row], line_s, fix_line_s, now, places, meant):
                 continue
             growth = max(self._hidden, _UNSEEN_GROWTH if lacks[_GPS] else 0.0)
             self._unseen += forgotten * (growth - self._unseen)
@@ -582,13 +583,14 @@ cdef class StrapdownCore:
             self._stills = 0
 
     cdef bint tick(
-        self, const double* signals, const bint* lacks, bint lined, double line_s, double* u, double* y, double* meant
+        self, const double* signals, const bint* lacks, bint lined, double line_s, double fix_line_s,
+        double* u, double* y, double* meant
     ) noexcept:
         """Go on by a tick; return whether every delay line is full.
 
         Fills in u of this tick, the integrals y before washing, and the means of u since the tick before. ``lined``:
         measurements were lost around the tick, so that some signals lie on a line between two of them; ``line_s``: how
-        long that of IMU is, 0: it was measured.
+        long that of IMU is, 0: it was measured; ``fix_line_s``: the same of the GPS.
         """
         cdef const double* rate = signals + 3
         cdef const double* sensors = signals + 9
@@ -683,7 +685,7 @@ cdef class StrapdownCore:
             elif self._speeds == 3:
                 for axis in range(2):
                     values[3 + axis] = along(R, sensors + 3, axis)
-            values[5] = lacks[_GPS]
+            values[5], values[6] = lacks[_GPS], fix_line_s
             fix = self._fixes.push(values)
             full = full and fix != NULL
             sensors += 3 + self._speeds
@@ -811,7 +813,7 @@ cdef class StrapdownCore:
         self._stood |= stands
         if not fix[5] and (news and (due or self._stood) or due and stands):
             self._stood = self._stood and not news
-            self._navigation.meet(fix + 3)
+            self._navigation.meet(fix + 3, fix[6])
             if self._navigation.returned:
                 self._navigation.returned = False
                 self._back = True
