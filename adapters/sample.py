@@ -73,6 +73,8 @@ class Given(NamedTuple):
     unflown: NDArray[np.bool_] | None = None
     # how many times larger sizes are for being unlike the fitted flights (n,)
     beyond: NDArray[np.float64] | None = None
+    # the same of faults in ``spread``, whose uncertainty has in it what the transform lacked (n,); None: once
+    known_beyond: NDArray[np.float64] | None = None
     # where a transform put what a fault has done so far into y, which no sensor measured (n,)
     corrected: NDArray[np.bool_] | None = None
     # y of the sample after each, where it is known with it (n, p): its inputs are means up to then

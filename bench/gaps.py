@@ -38,6 +38,7 @@ from replay.player import interests
 _STEP_S = 0.02
 """Arrivals that are taken together where an alarm's own is looked for: as many as the daemon takes."""
 _LOOKED_S = 20.0
+"""Seconds after an onset in which it is looked for so closely, and then by the second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +87,9 @@ def run(profile: Profile, batch: Batch, onsets_ns: Sequence[int]) -> tuple[list[
     pipeline, events = Pipeline(profile), []
     at_ns, ends = arrivals(batch), set[int]()
     for onset in onsets_ns:
-        steps = np.arange(onset, onset + round(1e9 * _LOOKED_S), round(1e9 * _STEP_S))
-        ends.update(np.searchsorted(at_ns, steps).tolist())
+        close = np.arange(onset, onset + round(1e9 * _LOOKED_S), round(1e9 * _STEP_S))
+        for steps in (close, np.arange(onset, at_ns[-1], 1_000_000_000)):
+            ends.update(np.searchsorted(at_ns, steps).tolist())
     ends.update((0, batch.count))
     samples, armed = 0, 0
     places = sorted(ends)

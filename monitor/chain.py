@@ -378,7 +378,8 @@ class ObserverChain:
         given = self._sampler.run(raw)
         if self._envelope is not None:
             outside = self._envelope.run(raw, np.arange(len(raw))[given.rows])
-            given = given._replace(beyond=outside if given.beyond is None else outside * given.beyond)
+            beyond = outside if given.beyond is None else outside * given.beyond
+            given = given._replace(beyond=beyond, known_beyond=outside)
         if not len(given.samples):
             return None
         if not isinstance(given.rows, slice):
@@ -432,6 +433,16 @@ class ObserverChain:
         )
         return self._with_evidence(estimates, position, found, effects, shown.commands, given)
 
+    def _larger(self, given: Given) -> NDArray[np.float64] | None:
+        """Return how many times larger each fault's size is for being unlike the fitted flights (n, a)."""
+        if given.beyond is None:
+            return None
+        larger = np.repeat(given.beyond[:, None], len(self.layout.faults), axis=1)
+        for name in given.spread:
+            if name in self.layout.faults:
+                larger[:, self.layout.faults.index(name)] = 1.0 if given.known_beyond is None else given.known_beyond
+        return larger
+
     def _with_evidence(
         self,
         estimates: Estimates,
@@ -450,7 +461,7 @@ class ObserverChain:
             found.counted,
             samples.lost,
             found.level,
-            beyond,
+            self._larger(given),
             excitation,
         )
         for fault, effect in effects.items():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adapters.sample import Samples
 from monitor.alarms.alarm import Alarm, AlarmRule, retuned
-from monitor.core.alarms import ChainRows, walk
+from monitor.core.alarms import ChainRows, Weighing, walk
 from monitor.event import AlarmEvent, event_from_json
 
 STEP_NS = 10_000_000
@@ -426,3 +426,12 @@ def test_a_sudden_change_that_no_estimate_shows_yet_waits_for_it_two_seconds() -
     events = sudden(new_alarm(SUDDEN), rows * 2)
     assert [event.state for event in events] == ["raised", "cleared"]
     assert events[1].vehicle_time_ms == pytest.approx(2000 + 1000 * SUDDEN.clear_s, abs=20)
+
+
+def test_a_fault_whose_uncertainty_is_known_does_not_count_larger_with_the_others() -> None:
+    ones, yes, beyond = np.ones((1, 2)), np.ones((1, 2), np.bool_), np.array([[2.0, 1.0]])
+    weighing = Weighing([0, 1], 3, np.ones((2, 1), np.bool_), np.array([0.5, 0.5]), [])
+    _, _, scale, _ = weighing.run(
+        ones, np.ones(1), yes[:, 0], yes, np.zeros((1, 1), np.bool_), np.ones(1), beyond, None
+    )
+    assert scale.tolist() == [[2.0, 1.0, 2.0]]

@@ -161,17 +161,13 @@ def test_a_way_that_a_gap_may_hide_is_no_jump_of_the_gps(moved: float, counted: 
     assert np.mean(found[110:120] - without[110:120]) == pytest.approx(counted, abs=0.03)
 
 
-@pytest.mark.parametrize(("lost", "larger"), [(range(0), 1.0), (range(500, 600), 1.58), (range(500, 2000, 5), 2.04)])
-def test_errors_are_larger_by_the_share_of_time_that_was_not_seen_until_it_is_forgotten(
-    lost: range, larger: float
-) -> None:
+@pytest.mark.parametrize("lost", [range(500, 600), range(500, 2000, 5)])
+def test_errors_are_no_larger_for_a_gps_that_was_missing_while_accelerations_were_measured(lost: range) -> None:
     samples = raw_samples(truth.signals(70.0), 0)
     samples.lost[list(lost), len(IMU) : BARO] = True
     beyond = Strapdown({}, truth.SIGNAL_HZ, truth.RATE_HZ).run(samples).beyond
     assert beyond is not None
-    assert beyond[:120] == pytest.approx(1.0)
-    assert beyond.max() == pytest.approx(larger, rel=0.1)
-    assert beyond[-1] < 1.03
+    assert beyond == pytest.approx(1.0)
 
 
 def over_gaps(raw: np.ndarray, gaps: np.ndarray, ticks: int) -> Samples:

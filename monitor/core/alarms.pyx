@@ -469,7 +469,7 @@ cdef class Weighing:
         self.shown, self.healthy, self.alarms = np.ascontiguousarray(shown), healthy, alarms
 
     def run(self, const double[:, :] isolated, const double[:] unexplained, const uint8_t[:] armed,
-            const uint8_t[:, :] counted, const uint8_t[:, :] lost, const double[:] level, const double[:] beyond,
+            const uint8_t[:, :] counted, const uint8_t[:, :] lost, const double[:] level, const double[:, :] beyond,
             const double[:, :] excitation):
         """Return evidence, speaking and scale of :class:`ChainRows`, and the scale of each fault (n, a).
 
@@ -486,8 +486,8 @@ cdef class Weighing:
             Inputs, then outputs, that were not measured.
         level : float64 (n,)
             How many times that of healthy flight the residuals' mean square is.
-        beyond : float64 (n,) | None
-            How many times larger all sizes are outside of the fitted flights.
+        beyond : float64 (n, a) | None
+            How many times larger sizes are outside of the fitted flights.
         excitation : float64 (n, 4) | None
             What :class:`monitor.core.excitation.Excitation` says of the rows.
         """
@@ -510,16 +510,17 @@ cdef class Weighing:
             for i in range(width):
                 of_fault[k, i] = max(1.0, sqrt(level[k]) * self.healthy[i])
             # What no fault explains has errors of all of them in it.
-            outside = 1.0 if beyond is None else beyond[k]
+            outside = 1.0
             if excitation is not None:
                 for i in range(self.excited.shape[0]):
                     of_fault[k, self.excited[i]] = excitation[k, 2]
                 outside = max(outside, excitation[k, 3])
             if beyond is not None:
                 for i in range(width):
+                    outside = max(outside, beyond[k, i])
                     # An edge is judged by what is flat before and after it.
                     if self.healthy[i] > 0.0:
-                        of_fault[k, i] *= beyond[k]
+                        of_fault[k, i] *= beyond[k, i]
             for i in range(self.alarms):
                 if i >= faults:
                     evidence[k, i], speaking[k, i], scale[k, i] = unexplained[k], armed[k], outside

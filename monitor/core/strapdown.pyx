@@ -50,9 +50,6 @@ cdef double _WALK = 0.05
 # Longest line over lost measurements of the magnetic field that tells a heading, s: within it a turn that changes by
 # 10 rad/s^2 is hidden by 3 mrad, thrice the noise of a quiet field; within 0.1 s by 12.
 cdef double _FIELD_LINE_S = 0.05
-# By how much faster the square of what GPS and inertial sensors drift apart grows while one of them lacks. Chosen: of
-# the random walks measured while the acceleration is not, 0.2 m/s per root of a second; _WALK while it is.
-cdef double _UNSEEN_GROWTH = (0.2 / 0.05) ** 2
 # Noise of a height, m, and for how long an error of it lasts, s. Chosen: those of barometers in wind; of two heights
 # the one that says less counts, so a better one is not taken for worse than the other.
 cdef double _HEIGHT_NOISE = 0.1
@@ -271,7 +268,7 @@ cdef class StrapdownCore:
     # Whether the gyro or accelerometer lacked while the GPS did.
     cdef bint _blind
     cdef int[_GROUPS] _lacking
-    # Share of the time that a velocity is remembered for in which GPS or IMU lacked.
+    # Mean of :attr:`_hidden` over the time that a velocity is remembered for.
     cdef double _unseen
     cdef double[_WIDEST] _added
     cdef double[_WIDEST] _anchor
@@ -356,7 +353,7 @@ cdef class StrapdownCore:
         cdef int i
         self._gps, self._baro, self._mag, self._hectopascal, self._dt = gps, baro, mag, hectopascal, dt
         self._speeds = speeds
-        # Behind the values: whether their measurements lack.
+        # Behind the values: whether their measurements lack; of fixes how long a line over lost ones is.
         self._motion = _Delay.__new__(_Delay, imu_ticks, 6)
         self._fixes = _Delay.__new__(_Delay, gps_ticks, 7)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
@@ -416,7 +413,7 @@ cdef class StrapdownCore:
     def run(self, samples):
         """Go on by raw samples; return the observer's samples, each where its period ends.
 
-        Their errors are larger for the times without GPS or IMU that they remember.
+        Their errors are larger for what lines hid in the time that they remember.
 
         Parameters
         ----------
@@ -432,7 +429,7 @@ cdef class StrapdownCore:
         cdef const long long[:, :] lines = (
             samples.lines_ns if samples.lines_ns is not None else np.zeros(samples.lost.shape, np.int64)
         )
-        cdef double line_s, fix_line_s, growth
+        cdef double line_s, fix_line_s
         cdef int field = 9 + (3 + self._speeds) * self._gps + self._baro
         cdef Py_ssize_t row, count = 0, most = 0
         cdef double[_WIDEST] now
@@ -474,8 +471,7 @@ cdef class StrapdownCore:
                 self._doubt[_MAG] = self._longest + 1
             if not self.tick(&raw[row, 0], lacks, not complete[row], line_s, fix_line_s, now, places, meant):
                 continue
-            growth = max(self._hidden, _UNSEEN_GROWTH if lacks[_GPS] else 0.0)
-            self._unseen += forgotten * (growth - self._unseen)
+            self._unseen += forgotten * (self._hidden - self._unseen)
             if self._has_before and self._begun:
                 # The mean over a tick, by the trapezoidal rule, goes into the mean over the period.
                 for i in range(self._inputs):
