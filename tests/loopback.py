@@ -38,10 +38,14 @@ def event(seq: int, channel: str = "motor1", **changes: Any) -> AlarmEvent:
     return AlarmEvent(**(values | changes))
 
 
-def until(condition: Callable[[], bool]) -> None:
-    """Wait for what other threads and processes will do; the test's own time-out ends it if they do not."""
-    while not condition():
-        time.sleep(0.005)
+def until(condition: Callable[[], Any], every_s: float = 0.005) -> Any:
+    """Wait for what other threads and processes will do, and return it; the test's own time-out ends it if they do not.
+
+    Looking at it shall cost little: ask less often where that reads a log.
+    """
+    while not (found := condition()):
+        time.sleep(every_s)
+    return found
 
 
 def put(session: zenoh.Session, key: str, payload: bytes | str) -> None:

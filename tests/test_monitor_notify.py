@@ -6,13 +6,13 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 
 import pytest
-from loopback import event
+from loopback import event, until
 
 import fauio
 from adapters.errors import UsageError
@@ -21,13 +21,6 @@ from monitor.notify import messenger
 from monitor.notify.messenger import Messenger
 from monitor.notify.notices import OCCASIONS, Notice, Notices, Occasion, summary
 from monitor.notify.outlets import DeliveryError, ExecOutlet, make_outlets
-
-
-def until(condition: Callable[[], Any]) -> None:
-    deadline = time.monotonic() + 30.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def occasions(*events: AlarmEvent, wanted: Sequence[Occasion] = OCCASIONS) -> list[str]:

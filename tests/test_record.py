@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from daemons import ENVIRONMENT, FAUIO, Flight, free_ports
-from loopback import publisher
+from loopback import publisher, until
 from packet_stream import PacketStream
 
 import fauio
@@ -41,10 +41,7 @@ class Recording:
 
     def until(self, text: str) -> None:
         """Wait until its log holds a text."""
-        deadline = time.monotonic() + PATIENCE_S
-        while text not in self.log.read_text():
-            assert time.monotonic() < deadline, self.log.read_text()
-            time.sleep(0.02)
+        until(lambda: text in self.log.read_text(), 0.02)
 
     def end(self, number: signal.Signals | None = None) -> tuple[int, str]:
         """Let it end; return its status and what it printed."""
@@ -68,10 +65,7 @@ def by_system(path: Path, count: int | None = None) -> dict[int, list[tuple[str,
 
 def arrived(path: Path, count: int) -> None:
     """Wait until so many messages are in a recording that goes on."""
-    deadline = time.monotonic() + PATIENCE_S
-    while len(telemetry(path)) < count:
-        assert time.monotonic() < deadline
-        time.sleep(0.2)
+    until(lambda: len(telemetry(path)) >= count, 0.2)
 
 
 def test_every_message_of_a_link_is_recorded(data: Path, tmp_path: Path) -> None:

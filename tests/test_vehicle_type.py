@@ -6,12 +6,12 @@ import csv
 import json
 import socket
 import subprocess
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from daemons import ENVIRONMENT, FAUIO, DaemonProcess, Flight, free_ports
+from loopback import until
 
 import fauio
 from adapters.logs.mcap_log import MessageLogWriter
@@ -141,10 +141,7 @@ def test_a_daemon_goes_on_without_watching_another_vehicle_and_says_so(data: Pat
     config = tmp_path / "fauio.toml"
     config.write_text(f'profile = "{QUAD}"\nmavlink = "udpin:127.0.0.1:{udp}"\nlisten = ["tcp/127.0.0.1:{tcp}"]\n')
     with DaemonProcess(config) as daemon, Flight(data / "plane_healthy.tlog.xz", [udp], 0.0):
-        deadline = time.monotonic() + PATIENCE_S
-        while not (said := [line for line in daemon.log() if MISMATCH in line.get("because", "")]):
-            assert time.monotonic() < deadline, daemon.log()
-            time.sleep(0.1)
+        said = until(lambda: [line for line in daemon.log() if MISMATCH in line.get("because", "")], 0.05)
         assert daemon.process.poll() is None
     assert (said[0]["event"], said[0]["level"], said[0]["state"]) == ("status", "warning", "blind")
     assert said[0]["because"].startswith("not watched: ")
@@ -160,10 +157,7 @@ def test_a_monitor_started_on_another_vehicle_ends_unless_forced(data: Path, tmp
         process = subprocess.Popen([*command, *(["--force"] if force else [])], stderr=log, env=ENVIRONMENT)
     with process, Flight(data / "plane_healthy.tlog.xz", [udp], 0.0):
         if force:
-            deadline = time.monotonic() + PATIENCE_S
-            while MISMATCH not in said.read_text():
-                assert time.monotonic() < deadline, said.read_text()
-                time.sleep(0.1)
+            until(lambda: MISMATCH in said.read_text(), 0.05)
             process.terminate()
         assert process.wait(PATIENCE_S) == (0 if force else 2)
     refusal = f"fauio: {MISMATCH}; take its own profile, or go on with --force"
