@@ -70,7 +70,7 @@ class Channel:
     # rotations about z, then y, then x that it stands for. None: the field is a number.
     angle: Angle | None = None
     # Of a motor's command, 0 to 1: what a value below zero counts as, which an autopilot sends of a motor that it has
-    # stopped. With the command of hovering, a motor that is stopped in flight is one that delivers nothing of it.
+    # stopped while others turn. With the command of hovering, one that is stopped in flight delivers nothing of it.
     stopped_as: float | None = None
     # fields and the least values with which the message is a measurement: a receiver without a fix repeats its last one
     # with a lower ``fix_type``

@@ -56,6 +56,15 @@ def test_ticks_lie_at_whole_multiples_of_the_period_on_the_vehicles_clock() -> N
     assert all(sample.complete for sample in samples)
 
 
+def test_motors_that_are_all_stopped_do_not_count_as_commands_of_flight() -> None:
+    motors = [Channel(name, "B", (name,), scale=0.001, offset=-1.0, stopped_as=0.5) for name in ("left", "right")]
+    for pulses, commands in (((900, 1600), (0.5, 0.6)), ((900, 900), (-0.1, -0.1)), ((1000, 900), (0.0, 0.5))):
+        sent = dict(zip(("left", "right"), pulses, strict=True))
+        messages = [message(n, t, speed=3.0, **sent) for t in range(1_000_000, 1_300_000, 10_000) for n in "AB"]
+        found = feed(sampler(motors), messages)
+        assert found and all(sample.u == pytest.approx(commands) for sample in found)
+
+
 @pytest.mark.parametrize("rate", [3.0, 29.97, 33.3, 60.0, 400.0])
 def test_periods_that_are_no_whole_nanoseconds_do_not_drift(rate: float) -> None:
     samples = feed(sampler(rate=rate), telemetry(0, 3_000_000))

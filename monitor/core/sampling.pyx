@@ -1771,6 +1771,7 @@ cdef class _Feed:
         for which in range(stream.width):
             there = stream.open(which, fields, record, &view, count)
             _read_values(&view if there else NULL, stream.scalings + which, self.values + which, stream.width, count)
+        _stand_in(stream.scalings, self.values, stream.width, count)
         for value in stream.equal:
             _select(stream.open(at, fields, record, &view, count), &view, fields, stream.paths[at], value, self.chosen,
                     count)
@@ -1982,17 +1983,31 @@ cdef int _read_values(View* view, const Scaling* scaling, double* out, Py_ssize_
                       Py_ssize_t count) except -1:
     """Read a channel's values, NaN where there is no number that can be one (rule 7); NULL: none is there."""
     cdef Py_ssize_t row
-    cdef double value, stopped = STOPPED
+    cdef double value
     if view == NULL:
         for row in range(count):
             out[row * stride] = NAN
         return 0
     for row in range(count):
         value = scaling.scale * _double_at(view, row) + scaling.offset
-        if scaling.stops and value < stopped:
-            value = scaling.stopped_as
         out[row * stride] = value if -scaling.largest <= value <= scaling.largest else NAN
     PyBuffer_Release(&view.buffer)
+    return 0
+
+
+cdef int _stand_in(const Scaling* scalings, double* values, Py_ssize_t width, Py_ssize_t count) except -1:
+    """Give motors that are stopped while others turn what stands for it; where none turns, the vehicle does not fly."""
+    cdef Py_ssize_t row, i
+    cdef double* value
+    cdef double stopped = STOPPED
+    cdef bint turns
+    for row in range(count):
+        value, turns = values + row * width, False
+        for i in range(width):
+            turns |= scalings[i].stops and value[i] >= stopped
+        for i in range(width if turns else 0):
+            if scalings[i].stops and value[i] < stopped:
+                value[i] = scalings[i].stopped_as
     return 0
 
 
