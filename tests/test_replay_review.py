@@ -87,7 +87,6 @@ def between(start: float, end: float, inside: float, outside: float) -> Callable
 
 LANDED_THERE = Flight(height=fallen, motors=stopped, landed=lambda at: not 3.0 <= at < FALLS_S - 0.1)
 CASES: dict[str, Flight] = {
-    "landing_detected_in_air": LANDED_THERE,
     "motors_stopped_in_air": Flight(height=fallen, motors=stopped, killed=lambda at: at >= FALLS_S - 0.1),
     "motor_command_stopped": Flight(motors=one_motor(2, 0.0, 30.0, 33.0)),
     "motor_at_limit": Flight(motors=one_motor(3, 0.95, 30.0, 32.0)),
@@ -297,7 +296,7 @@ def test_what_comes_after_a_fall_is_no_finding(tmp_path: Path) -> None:
         ratio=between(33.0, 36.0, 2.0, 0.1),
         tilt_deg=between(30.5, 32.0, 120.0, 0.0),
     )
-    assert names(rules_on(px4_log(tmp_path / "flight.ulg", flight))) == ["landing_detected_in_air"]
+    assert names(rules_on(px4_log(tmp_path / "flight.ulg", flight))) == ["motors_stopped_in_air"]
 
 
 def test_attitudes_are_compared_by_the_shorter_way_round(tmp_path: Path) -> None:
@@ -365,7 +364,7 @@ def test_an_attitude_that_accelerometers_and_barometer_contradict_is_the_estimat
 def test_what_began_sooner_comes_first(tmp_path: Path) -> None:
     flight = Flight(ratio=between(25.0, 28.0, 2.0, 0.1), height=fallen, motors=stopped, landed=LANDED_THERE.landed)
     review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
-    assert names(review) == ["innovations_refused", "landing_detected_in_air"]
+    assert names(review) == ["innovations_refused", "motors_stopped_in_air"]
     assert "Then, at 29.9 s, the landing detector" in review.sentence
 
 
@@ -589,9 +588,9 @@ def test_a_log_without_a_flight_is_not_judged(tmp_path: Path) -> None:
     assert [why for _, why in review.reasons()] == ["the log shows no flight"]
 
 
-@pytest.mark.parametrize("name", ["landing_detected_in_air", "motor_at_limit", "gps_lost", "turned_over"])
+@pytest.mark.parametrize("name", ["motors_stopped_in_air", "motor_at_limit", "gps_lost", "turned_over"])
 def test_logs_of_ardupilot_are_judged_alike(name: str, tmp_path: Path) -> None:
-    review = rules_on(ardupilot_log(tmp_path / "flight.bin", CASES[name]))
+    review = rules_on(ardupilot_log(tmp_path / "flight.bin", (CASES | {"motors_stopped_in_air": LANDED_THERE})[name]))
     assert review.facts.autopilot == "ArduPilot"
     assert review.first is not None
     assert review.first.rule.name == name
@@ -805,7 +804,7 @@ def test_the_command_says_it_in_words_in_json_and_on_a_page(tmp_path: Path, caps
     good = str(px4_log(tmp_path / "good.ulg", Flight()))
     page = tmp_path / "bad.html"
     assert fauio.main(["review", "--quick", bad, "--report", str(page)]) == 1
-    assert "[first] 29.9 s, Landing detected in the air (certain)" in capsys.readouterr().out
+    assert "[first] 29.9 s, Motors stopped in the air (certain)" in capsys.readouterr().out
     text = page.read_text()
     # what shows the finding, then the flight as a whole
     assert text.count("data-chart=") >= 4

@@ -17,7 +17,6 @@ from replay.review.findings import (
     gps_lost,
     gps_stuck,
     innovations_refused,
-    landing_detected_in_air,
     log_ends_in_flight,
     motor_at_limit,
     motor_command_stopped,
@@ -31,7 +30,7 @@ from replay.review.findings.rule import Rule
 
 RULES: Final[tuple[Rule, ...]] = tuple(
     finding.RULE for finding in (
-        commands_from_outside, position_altered, landing_detected_in_air, motors_stopped_in_air,
+        commands_from_outside, position_altered, motors_stopped_in_air,
         motor_command_stopped, battery_low, log_ends_in_flight, esc_stopped, motor_at_limit, actuator_effect,
         descent_not_followed, turned_over, attitude_not_followed, gps_lost, gps_stuck, sensor_effect,
         vibration, attitude_contradicted, innovations_refused, estimator_reset, failsafe,

@@ -1,31 +1,36 @@
-"""All motors were commanded to stop in the air by somebody or something other than the landing detector."""
+"""All motors were commanded to stop in the air, by the landing detector or somebody or something else."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from replay.review.facts.log_facts import LogFacts, LogSignal
+from replay.review.facts.log_facts import LogFacts, LogSignal, Statement
 from replay.review.findings.loss_of_control import stops
 from replay.review.findings.rule import Judgement, Rule
 
 _NEAR_S = 1.5
 """Chosen: statements of state are logged once or twice a second by default."""
+_LANDED_S = (-2.0, 0.5)
+"""Seconds from the stop in which a landing detector may have asked for it: PX4 stops motors at once and disarms after
+2 s (COM_DISARM_LAND), ArduPilot after 0.5 to 10 s (DISARM_DELAY). What it says later is a touch-down."""
 
 
 def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Judgement]:
     for start, end, fell in stops(facts):
-        near = [statement for statement in facts.statements if abs(statement.time_s - start) <= _NEAR_S]
-        if any(statement.kind == "landing" and statement.level for statement in near):
+        about = [(said.time_s - start, said) for said in facts.statements]
+        landed = [(after, said) for after, said in about if said.kind == "landing" and said.level]
+        causes = [said for after, said in landed if _LANDED_S[0] <= after <= _LANDED_S[1]][-1:]
+        if not causes and any(abs(after) <= _NEAR_S for after, _ in landed):
             continue
-        causes = [
-            statement
-            for statement in near
-            if statement.kind in ("kill", "failsafe") or (statement.kind == "arming" and not statement.level)
-        ]
-        why = f": {causes[0].text}" if causes else ", for a reason that the log does not state"
+        why = "the landing detector reported 'landed' in the air; the motors were stopped"
+        if not causes:
+            near = [said for after, said in about if abs(after) <= _NEAR_S]
+            causes = [said for said in near if _stops(said)]
+            reason = f": {causes[0].text}" if causes else ", for a reason that the log does not state"
+            why = f"all motors were commanded to stop in the air{reason},"
         yield Judgement(
             span=(min([start, *(cause.time_s for cause in causes)]), end),
-            text=f"all motors were commanded to stop in the air{why}; the vehicle fell {fell:.0f} m",
+            text=f"{why} and the vehicle fell {fell:.0f} m",
             evidence=(
                 f"{motors.origin}: all motors at zero from {start:.2f} to {end:.2f} s",
                 f"{height.origin}: {fell:.1f} m lower within 3 s of it",
@@ -36,14 +41,20 @@ def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Ju
         )
 
 
+def _stops(said: Statement) -> bool:
+    return said.kind in ("kill", "failsafe") or (said.kind == "arming" and not said.level)
+
+
 RULE = Rule(
     title="Motors stopped in the air",
-    stage="command",
+    stage="decision",
     physics="A kill switch, a disarming, a termination or a crash detector takes all commands to zero, and the "
-    "vehicle falls.",
+    "vehicle falls. A landing detector takes low thrust without vertical motion for the ground; a vehicle that cannot "
+    "descend at its least thrust looks the same.",
     evidence="all motors at zero for 0.4 s or longer after they turned, and the barometer falls by 2 m within 3 s",
     counter=(
-        "no landing was detected before it, and the barometer falls",
+        "after a landing on a roof or a hill the vehicle does not fall",
+        "the barometer reads higher when rotors stop near the ground, not lower",
         "the commands themselves are zero: no motor failed",
     ),
     needs=("motors", "height"),
