@@ -24,8 +24,7 @@ def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Ju
             continue
         why = "the landing detector reported 'landed' in the air; the motors were stopped"
         if not causes:
-            near = [said for after, said in about if abs(after) <= _NEAR_S]
-            causes = [said for said in near if _stops(said)]
+            causes = [said for after, said in about if abs(after) <= _NEAR_S and _stops(said)]
             reason = f": {causes[0].text}" if causes else ", for a reason that the log does not state"
             why = f"all motors were commanded to stop in the air{reason},"
         yield Judgement(
