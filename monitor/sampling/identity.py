@@ -1,4 +1,4 @@
-"""Which vehicle telemetry or a log is of: its type, autopilot, frame and number of motors, as far as it says so."""
+"""Which vehicle telemetry or a log comes from: its type, autopilot, frame and number of motors, as far as it tells."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _COPTERS: Mapping[int, tuple[str, str, int]] = MappingProxyType(
         14: ("deca", "decarotor", 10),
     }
 )
-"""ArduCopter's FRAME_CLASS: its name, what its heartbeats call it, and motors (AP_Motors_Class.h)."""
+"""ArduCopter's FRAME_CLASS: its name, the type in its heartbeats, and its motors (AP_Motors_Class.h)."""
 _SHAPES = {0: "plus", 1: "x", 2: "v", 3: "h", 4: "v-tail", 5: "a-tail", 12: "betaflight-x", 13: "dji-x", 14: "cw-x"}
-"""ArduCopter's FRAME_TYPE (AP_Motors_Class.h); it numbers and places the motors of a class."""
+"""ArduCopter's FRAME_TYPE (AP_Motors_Class.h): the order and the places of the motors of a class."""
 _SHAPED = ("quad", "hexa", "octa", "octaquad", "y6", "dodecahexa", "deca")
 _FIRMWARE = {
     **dict.fromkeys(("arducopter", "apm:copter"), "copter"),
@@ -36,32 +36,33 @@ _FIRMWARE = {
     **dict.fromkeys(("ardurover", "rover", "apmrover2", "apm:rover"), "rover"),
     "ardusub": "submarine",
 }
-"""First word of what ArduPilot writes into the head of a log, and what it flies, drives or dives."""
+"""First word of the firmware's name in the head of an ArduPilot log, and the kind of vehicle that it flies or
+drives."""
 _ROTOR_COUNT, _PX4_TYPE = "CA_ROTOR_COUNT", "MAV_TYPE"
 _PARAMETERS = frozenset({"FRAME_CLASS", "FRAME_TYPE", "Q_ENABLE", _ROTOR_COUNT, _PX4_TYPE})
 _BOAT = 2
 """ArduRover's FRAME_CLASS of a boat."""
 _MOST_MOTORS = 32
-"""ArduPilot's AP_MOTORS_MAX_NUM_MOTORS; PX4 has 12. More are no count of motors."""
+"""ArduPilot's AP_MOTORS_MAX_NUM_MOTORS; PX4 has 12. A larger number is no count of motors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What is known of which vehicle it is; empty or 0 where nothing tells."""
+    """What is known about the vehicle's identity; empty or 0: unknown."""
 
     vehicle_type: str = ""  # HEARTBEAT.type in words (``quadrotor``, ``fixed wing``)
     autopilot: str = ""  # HEARTBEAT.autopilot in words (``ardupilotmega``, ``px4``)
-    frame: str = ""  # class and shape of a copter's frame (``quad/x``), which tell where its motors are
+    frame: str = ""  # class and shape of a copter's frame (``quad/x``), which determine the places of its motors
     motors: int = 0  # number of motors
 
     def difference(self, other: Identity) -> tuple[str, str] | None:
-        """Return in words what each is, where something known of both differs; None where nothing does."""
+        """Return each difference between two identities in words; None if nothing that both know differs."""
         names = [field.name for field in fields(self)]
         unlike = [name for name in names if len({getattr(self, name), getattr(other, name)} - {"", 0}) > 1]
         return (self._words(unlike), other._words(unlike)) if unlike else None
 
     def contradiction(self, fitted: Identity) -> str | None:
-        """Return what says that it is another vehicle than the one a profile was fitted to, None where nothing does."""
+        """Return why it is not the vehicle that a profile was fitted to; None if nothing shows that."""
         if (unlike := self.difference(fitted)) is None:
             return None
         here, there = unlike
@@ -74,12 +75,12 @@ class Identity:
         return f"a {self.vehicle_type or 'vehicle'}" + (f" with {more}" if more else "")
 
     def table(self) -> dict[str, str | int]:
-        """Return what is known, by name."""
+        """Return the known parts by name."""
         return {field.name: value for field in fields(self) if (value := getattr(self, field.name))}
 
 
 def common_identity(identities: Iterable[Identity]) -> Identity:
-    """Return what is known of any and contradicts none of the others."""
+    """Return the parts that any of the identities knows and none contradicts."""
     given = list(identities)
     known = {
         field.name: {value for identity in given if (value := getattr(identity, field.name))}
@@ -90,7 +91,7 @@ def common_identity(identities: Iterable[Identity]) -> Identity:
 
 @dataclass(frozen=True, slots=True)
 class Reports:
-    """What a vehicle has said of itself so far; :meth:`after` follows a message."""
+    """What a vehicle has told about itself so far; :meth:`after` follows a message."""
 
     # of the autopilot's newest HEARTBEAT that is not "generic" (0)
     type: int = 0
@@ -98,11 +99,11 @@ class Reports:
     firmware: str = ""  # a value of :data:`_FIRMWARE`, from the head of an ArduPilot log
     parameters: Mapping[str, int] = field(default_factory=dict)  # parameters that say which frame it has
 
-    # names of the messages that are looked at: heartbeats, and parameters on a link or in either autopilot's log
+    # names of the messages that are read: heartbeats, and parameters on a link or in either autopilot's log
     interests: ClassVar[frozenset[str]] = PARAMETER_MESSAGES | {"HEARTBEAT", "MSG"}
 
     def after(self, message: Message) -> Reports:
-        """Return what is known after a message; the same object where it says nothing new."""
+        """Return what is known after a message; the same object if the message tells nothing new."""
         said = message.fields
         if message.name == "HEARTBEAT":
             return self._after_heartbeat(said) if is_autopilot_heartbeat(message) else self
@@ -121,7 +122,7 @@ class Reports:
 
     @property
     def identity(self) -> Identity:
-        """Which vehicle that is."""
+        """The vehicle's identity."""
         return Identity(
             vehicle_type(self.type) or self._type_by_parameters(),
             (enumerated("MAV_AUTOPILOT", self.autopilot) or "") if self.autopilot else "",
@@ -150,7 +151,7 @@ class Reports:
         return replace(self, parameters={**self.parameters, name: int(value)})
 
     def _copter(self) -> tuple[str, str, int] | None:
-        """Return the frame's class where the parameters are a copter's: rovers count classes of their own."""
+        """Return the frame's class if the parameters are a copter's: rovers number classes of their own."""
         kind = vehicle_type(self.type)
         is_copter = self.firmware == "copter" or (not self.firmware and ("rotor" in kind or "copter" in kind))
         return _COPTERS.get(self.parameters.get("FRAME_CLASS", 0)) if is_copter else None
@@ -166,7 +167,7 @@ class Reports:
         return self.firmware or vehicle_type(self.parameters.get(_PX4_TYPE))
 
     def _frame(self) -> tuple[str, int]:
-        """Return name of the frame and number of motors."""
+        """Return the frame's name and number of motors."""
         copter = self._copter()
         if copter is None:
             count = self.parameters.get(_ROTOR_COUNT, 0)

@@ -1,19 +1,21 @@
-"""Flight phase as the vehicle reports it: armed or not, on the ground or in the air; and which vehicle it is.
+"""Flight phase as the vehicle reports it (armed or not, on the ground or in the air), and the vehicle's identity.
 
-The newest report holds, unless two senders answer by turns. Reports of one sender keep their period, and of a value
-that changes and changes back the reports around it are two periods apart. Where another's come in between they are
-one. So reports are contested from a single such change on where the two reports before it and the two after it agree
-and kept their period without it, as seldom as it may come; else from the third within 10 s on, or from the eighth
-change of any kind over more than 3.5 s. Then the vehicle is taken to be the one that flies as long as reports say so:
-watched on the ground it may raise an alarm too many, not watched in the air it may fall.
+The newest report holds, unless two senders answer by turns. The reports of one sender keep their period. If its value
+changes and changes back, the two reports around the changed one are two periods apart; if another sender's report comes
+in between, they are one period apart. Reports are therefore contested
 
-A vehicle that is armed does not become another one, nor does one in the air take off: who says so is another sender.
+- after a single such change, however rare, if the two reports before it and the two after it agree and kept their
+  period without it;
+- otherwise from the third such change within 10 s on, or from the eighth change of any kind over more than 3.5 s.
 
-A vehicle that is landing is in the air until it comes near the ground, by the height above its home that it reports:
-a descent takes as long as many a flight. By that height a vehicle that does not say whether it flies is near the
-ground, too.
+While reports are contested, the vehicle counts as flying as long as reports say so: a vehicle that is watched on the
+ground may raise an alarm too many, a vehicle that is not watched in the air may fall. An armed vehicle does not become
+another vehicle, and a vehicle in the air does not take off: whoever reports that is another sender.
 
-Into a vehicle's own log nobody else writes, and it holds a report for each change: nothing in it is contested.
+A landing vehicle counts as in the air until it is near the ground, by its reported height above home: a descent takes
+as long as many a flight. A vehicle that does not report whether it flies is near the ground by that height, too.
+
+Nobody else writes into a vehicle's own log, and it holds a report for each change: its reports are never contested.
 """
 
 from __future__ import annotations
@@ -40,29 +42,32 @@ CONTESTED = {
     "EXTENDED_SYS_STATE": "its EXTENDED_SYS_STATE says by turns that it flies and that it does not",
     "PARAM_VALUE": "its PARAM_VALUE says in flight that it has another frame than before",
 }
-"""What contradicts itself, by message."""
+"""The messages that two senders answer by turns, with a sentence for each."""
 _WINDOW_NS = 10_000_000_000
-"""Over which changes are counted: ten heartbeats at MAVLink's rate of one a second."""
+"""Time over which changes are counted: ten heartbeats at MAVLink's rate of one a second."""
 _TURNS = 3
-"""Changes within one period that are an attack. Two come from one landing where two links of a vehicle differ by a
-second; a second sender at the vehicle's own rate makes them in 2 s."""
+"""Changes within one period from which on reports are contested. A landing makes two if two links of a vehicle differ
+by a second; a second sender at the vehicle's own rate makes them in 2 s."""
 _CHANGES = 8
-"""Changes at any rate that are one: landing and bouncing twice are six. A second sender makes them in 4 s."""
+"""Changes of any kind from which on reports are contested: landing and bouncing twice make six. A second sender makes
+them in 4 s."""
 _HELD_NS = 3_500_000_000
-"""How long they last then: a slower radio of two says until 3 s later what is over (docs/limits.md)."""
+"""Shortest time of those changes: the slower of two radios repeats an old report up to 3 s later (docs/limits.md)."""
 _PERIODS = 1.5
-"""Longest step that is one period and not two, of reports with a jitter of half a period; by as much one is shorter
-where they keep it, and do not come together as from a link that holds them back."""
+"""Longest step that counts as one period and not two, for reports with a jitter of half a period. Steps of reports that
+keep their period, and do not come in bursts from a link that holds them back, are shorter than a period by at most
+as much."""
 _RECENT_NS = 3_000_000_000
 """How long a contested report counts: three heartbeats, as one or two may be lost."""
 _HIGH_MM = 2000
 """Height above home from which on a landing vehicle is still watched, millimetres. Chosen: rotors feel the ground up to
-two of their diameters, and a height is that much off after a long flight."""
+two of their diameters, and a height is off by this much after a long flight."""
 _AWAY_NS = 1_000_000_000
-"""How long another height than its home's counts. Chosen: they come once a second at least, and a plane that touches
-down rolls for longer."""
+"""How long a report of a height other than home's counts. Chosen: heights come once a second at least, and a plane that
+touches down rolls for longer."""
 _MOST_REPORTS = 64
-"""Reports that are remembered. Chosen: at 6 Hz more than the window, and a flood of them costs no more."""
+"""Most reports that are remembered. Chosen: at 6 Hz more than the time over which changes are counted; a flood needs no
+more memory."""
 
 
 class Said(NamedTuple):
@@ -73,7 +78,7 @@ class Said(NamedTuple):
     until_ns: int = 0
 
     def after(self, now_ns: int, value: object) -> Said:
-        """Return what is remembered after another report."""
+        """Return the reports that are remembered after another one."""
         first = next((i for i, time in enumerate(self.times) if 0 <= now_ns - time < _WINDOW_NS), len(self.times))
         first = max(first, len(self.times) - _MOST_REPORTS + 1)
         times, values = (*self.times[first:], now_ns), (*self.values[first:], value)
@@ -101,7 +106,7 @@ def _contested(times: tuple[int, ...], values: tuple[object, ...]) -> bool:
     steps = sorted(b - a for (a, x), (b, y) in pairwise(zip(times, values, strict=True)) if x == y)
     if not steps:
         return False
-    # Of two radios that bring each report twice the steps are unlike, and as many as twice.
+    # Two radios that both bring each report give unequal steps, and twice as many.
     period = min(steps[len(steps) // 2], sum(steps) // len(steps))
     between = [
         i
@@ -112,7 +117,7 @@ def _contested(times: tuple[int, ...], values: tuple[object, ...]) -> bool:
 
 
 def _is_extra(times: tuple[int, ...], values: tuple[object, ...], period: int) -> bool:
-    """Return whether of five reports the others kept their period without the third, and agree."""
+    """Return whether the four other reports of five agree and kept their period without the third."""
     if len(times) < 5 or not values[0] == values[1] == values[3] == values[4]:
         return False
     steps = times[1] - times[0], times[3] - times[1], times[4] - times[3]
@@ -120,14 +125,14 @@ def _is_extra(times: tuple[int, ...], values: tuple[object, ...], period: int) -
 
 
 class FlightPhase:
-    """Follows the autopilot's HEARTBEAT, EXTENDED_SYS_STATE and height; other stations' heartbeats are ignored.
+    """Follows the autopilot's HEARTBEAT, EXTENDED_SYS_STATE and height; heartbeats of other components are ignored.
 
-    Of another vehicle than the one that the profile was ``fitted`` to no samples are evidence. ``reports`` are what the
-    vehicle has said of itself; ``contradiction`` says that it is another, None where nothing does; ``contested`` names
-    the messages that two senders answer by turns. It is ``driven`` where it is taken to fly although it reports that it
-    does not, for its commands are those of flight; ``logged`` where the reports are those of its own log. ``carried``
-    is what a vehicle with rotors and wings says to fly on, None where it does not say. ``interests`` names the messages
-    it reads.
+    Samples of another vehicle than the one that the profile was ``fitted`` to are no evidence. ``reports`` is what the
+    vehicle has told about itself; ``contradiction`` the sentence that shows that it is another one, None if nothing
+    does; ``contested`` names the messages that two senders answer by turns. ``driven`` is set while the vehicle counts
+    as flying although it reports that it does not, because its commands are those of flight; ``logged`` if the reports
+    are those of its own log. ``carried`` is what carries a vehicle with rotors and wings by its own report, None
+    without one. ``interests`` names the messages that are read.
     """
 
     interests: ClassVar[frozenset[str]] = Reports.interests | {"EXTENDED_SYS_STATE", "GLOBAL_POSITION_INT"}
@@ -145,16 +150,16 @@ class FlightPhase:
         self._fitted = fitted
         self._beats = Said()
         self._landings = Said()
-        # the message that last said in flight that it is another vehicle, and when
+        # the last message that reported another vehicle in flight, and its time
         self._other: tuple[str, int] = ("", -LATEST_NS)
-        self._high_ns: int | None = None  # when it was last reported to be high; None where it is low or unknown
-        # when it was reported to be at about the height of its home, by all reports of the last second; None where not
+        self._high_ns: int | None = None  # when it was last reported to be high; None: it is low, or unknown
+        # when it was reported to be at about the height of its home, by all reports of the last second; None otherwise
         self._low_ns: int | None = None
         self._away_ns: int | None = None  # when it was last reported to be at another height
 
     @property
     def airborne(self) -> bool | None:
-        """Whether it flies: in the air, or landing and still high; None where the vehicle does not report it."""
+        """Whether it flies: in the air, or landing and still high; None if the vehicle does not report it."""
         landed = self.landed
         return None if landed is None else landed == "air" or (landed == "landing" and self._high_ns is not None)
 
@@ -170,17 +175,17 @@ class FlightPhase:
 
     @property
     def landed(self) -> Landed | None:
-        """EXTENDED_SYS_STATE.landed_state; None where the vehicle does not report it."""
+        """EXTENDED_SYS_STATE.landed_state; None if the vehicle does not report it."""
         return "air" if self.driven and self._landed is not None else self._landed
 
     @property
     def grounded(self) -> bool:
-        """Whether it reports that it does not fly any more, after it did."""
+        """Whether it reports that it does not fly any more, after a flight."""
         return (self._armed is False and self._has_been[0]) or (self._landed == "ground" and self._has_been[1])
 
     @property
     def state(self) -> tuple[object, ...]:
-        """All that decides something now; what else is remembered may change without a consequence."""
+        """The part of the state that decides something now; the rest may change without a consequence."""
         landing_high = self._landed == "landing" and self._high_ns is not None
         flies = self._armed, self._landed, landing_high, self.near_home, self.carried
         return *flies, self.reports, self.contradiction, self.contested
@@ -192,7 +197,7 @@ class FlightPhase:
         return phase
 
     def feed(self, message: Message) -> None:
-        """Follow a message; one of no interest changes nothing."""
+        """Follow a message; other messages than :attr:`interests` change nothing."""
         if message.name not in self.interests:
             return
         now_ns = message.received_ns
@@ -203,7 +208,7 @@ class FlightPhase:
             self._high_ns = now_ns if above_mm > _HIGH_MM else None
             if abs(above_mm) > _HIGH_MM:
                 self._away_ns = now_ns
-            # Forged among true ones, a height of its home must not end the watch.
+            # A forged height of home among true heights must not end the watch.
             was_away = self._away_ns is not None and 0 <= now_ns - self._away_ns < _AWAY_NS
             self._low_ns = now_ns if abs(above_mm) <= _HIGH_MM and not was_away else None
             return
@@ -241,7 +246,7 @@ class FlightPhase:
         self.contested = tuple(sorted(contested | {other} if 0 <= now_ns - other_ns < _WINDOW_NS else contested))
 
     def _identify(self, message: Message) -> None:
-        """Follow what a message says of which vehicle it is."""
+        """Follow what a message tells about the vehicle's identity."""
         reports = self.reports.after(message)
         if reports is self.reports:
             return

@@ -1,9 +1,9 @@
-"""What transforms share that scale a vehicle's deflections by its speed: parameters, timing, grouping.
+"""Transforms that scale a vehicle's deflections by its speed: what they share (parameters, timing, grouping).
 
-Effects go through the actuator's transport delay and first-order lag here, because the accelerations and rates beside
-them, which are inputs as well, do not. Below ``minimum_speed`` a deflection has hardly any effect and division by it
-would only amplify noise: all channels of such samples count as ``lost``, so an observer runs on through them, but they
-are no evidence.
+Effects pass the actuator's transport delay and first-order lag here, because the accelerations and rates beside them,
+which are inputs as well, do not. Below ``minimum_speed`` a deflection has hardly any effect, and the division by it
+would only amplify noise: all channels of such samples count as ``lost``, so an observer coasts over them, and they are
+no evidence.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Scaled(NamedTuple):
 
 
 def raw_per_sample(transform: str, signal_rate_hz: float, rate_hz: float) -> int:
-    """Return how many raw samples make one given sample; ``transform`` is the name for the complaint.
+    """Return how many raw samples make one sample; ``transform`` is the name for the error message.
 
     Raises
     ------
@@ -49,12 +49,12 @@ def raw_per_sample(transform: str, signal_rate_hz: float, rate_hz: float) -> int
 def check_parameters(
     kind: str, parameters: Mapping[str, float], needed: Collection[str], optional: Collection[str] = ()
 ) -> None:
-    """Make sure that a transform has all parameters that it needs, and none that it does not know.
+    """Check that a transform has all parameters that it needs, and no unknown ones.
 
     Raises
     ------
     TelemetryError
-        One is missing or unknown: the profile was written by another version, or by hand.
+        A parameter is missing or unknown: the profile was written by another version, or by hand.
     """
     if wrong := sorted((set(needed) ^ set(parameters)) - set(optional)):
         verb = "is unknown" if wrong[0] in parameters else "is missing"
@@ -84,7 +84,8 @@ class ScaledInputs(ABC):
     inputs: ClassVar[tuple[str, ...]]
     outputs: ClassVar[tuple[str, ...]]
     extra_parameters: ClassVar[frozenset[str]] = frozenset()
-    may_stand: ClassVar[bool] = False  # whether a vehicle that is slow in operation lacks nothing: one on the ground
+    # whether a vehicle that is slow in operation has everything it needs: one on the ground
+    may_stand: ClassVar[bool] = False
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
         self._check(parameters)
@@ -97,11 +98,14 @@ class ScaledInputs(ABC):
 
     @abstractmethod
     def scale(self, signals: Array) -> Scaled:
-        """Return inputs, then outputs, before timing and grouping; ``signals`` (number of signals, n)."""
+        """Return inputs, then outputs, before timing and grouping; ``signals`` is (number of signals, n)."""
 
     def run(self, samples: Samples) -> Given:
-        """Return the observer's samples that raw samples complete; one marked ``restart`` forgets lag and group."""
-        # Absurd values may overflow; they are no evidence, and no news for the log.
+        """Return the observer's samples that raw samples complete.
+
+        A sample marked ``restart`` forgets lag and group.
+        """
+        # Absurd values may overflow; they are no evidence, and need no warning.
         with np.errstate(all="ignore"):
             scaled = self.scale(np.ascontiguousarray(samples.u.T))
         given = self._means.run(samples, scaled.columns, scaled.evidence)

@@ -8,18 +8,20 @@ from adapters.channels import Channel
 from monitor.sampling.transform import SampleSource
 
 SELDOM = frozenset({"GPS_RAW_INT", "SCALED_PRESSURE", "VFR_HUD", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"})
-"""Slow by their nature; the transforms that read them delay the others."""
+"""Messages that are slow by their nature; the transforms that read them delay the others."""
 _POSITION = ("lat", "lon", "gps_alt")
 """Signals of transforms whose messages are as slow, whatever they are called."""
 
 _ENOUGH = 0.8
-"""Share of the wanted rate that is enough; chosen: a rate a little below the wanted one is no reason to complain."""
+"""Share of the wanted rate that is enough. Chosen: a rate a little below the wanted one is no reason for a
+complaint."""
 _SPANNED = 3.0
-"""Samples between two messages from which an observer interpolates more than it measures: two of three are between."""
+"""Samples between two messages from which on an observer interpolates more than it measures: two of three are
+between."""
 
 
 _LEVELS = frozenset({"VIBRATION"})
-"""Levels over a while, which autopilots sum up themselves: coming more often they would say nothing more."""
+"""Levels that autopilots average over some time: a higher rate would tell no more."""
 
 
 def _seldom(channels: Collection[Channel]) -> frozenset[str]:
@@ -29,7 +31,7 @@ def _seldom(channels: Collection[Channel]) -> frozenset[str]:
 def slow_messages(
     recordings: Sequence[Mapping[str, float]], channels: Collection[Channel], wanted_hz: float
 ) -> dict[str, float]:
-    """Return the messages that come clearly more seldom than wanted in some recording, and how often they come.
+    """Return the messages that come clearly more seldom than wanted in some recording, and their rates.
 
     Recordings are given as messages per second by name; only messages of the channels count.
     """
@@ -39,9 +41,9 @@ def slow_messages(
 
 
 def slow_text(slow: Mapping[str, float], wanted_hz: float, *, onboard: bool, commands_hz: float | None = None) -> str:
-    """Return a line about messages that come slowly, in onboard logs or not: what more would show, how to get it.
+    """Return a line about slow messages, of onboard logs or of links: what a higher rate would show, and how to get it.
 
-    ``commands_hz`` are motor commands per second, where a multirotor's are slow.
+    ``commands_hz`` is the rate of motor commands if a multirotor's are slow.
     """
     rates = ", ".join(f"{name} {rate:.3g} Hz" for name, rate in slow.items())
     gain = "" if commands_hz is None else f": {motor_gain(commands_hz)}"
@@ -51,18 +53,18 @@ def slow_text(slow: Mapping[str, float], wanted_hz: float, *, onboard: bool, com
 
 
 def motor_gain(commands_hz: float) -> str:
-    """Return what 100 Hz would show of a motor, and what so many commands a second show instead.
+    """Return which loss of a motor 100 Hz would show, and which this many commands a second show instead.
 
     Measured by fits to two to four healthy flights of each of two autopilots' simulators (the lines "sees" of fit.txt):
-    at 100 Hz 1.5 and 4 % within 1 s, at 10 Hz 15 and 20 %, over radios 7 % within 10 s (2 Hz) and 15 % within 20 s
-    (1 Hz).
+    at 100 Hz 1.5 and 4 % within 1 s, at 10 Hz 15 and 20 %, over radios 7 % within 10 s (2 Hz) and 15 % within 20 s (1
+    Hz).
     """
     now = "15 to 20 %" if commands_hz >= _RADIO_HZ else "7 to 15 % within 10 to 20 s"
     return f"100 Hz would show a motor's loss of 1.5 to 4 % within 1 s instead of {now}"
 
 
 _RADIO_HZ = 4.0
-"""Between the 10 Hz of logs and the 2 Hz of radios, as a factor in the middle."""
+"""Border between the 10 Hz of logs and the 2 Hz of radios, on a logarithmic scale."""
 _SEND_FASTER = (
     "Raise the rates in the autopilot (ArduPilot SRx_*, PX4 mavlink stream) or with [send] rates of fauio.toml, record "
     "again and fit again"
@@ -74,11 +76,11 @@ LOG_FASTER = (
 
 
 def spanned(source: SampleSource, rate_hz: float, rates: Mapping[str, float]) -> dict[str, float]:
-    """Return the messages between which an observer takes three samples or more, and how many.
+    """Return the messages between which an observer takes three samples or more, and how many samples.
 
-    Those whose values hold until the next one are left out: they may come only when they change. So are those without a
-    rate, messages per second by name as they came. Of those that come a third as often as in the fitted flights it is
-    as many times as seldom.
+    Messages whose values hold until the next one are left out: they may come only on a change. So are messages without
+    a rate; ``rates`` are messages per second by name. For messages that come less than a third as often as in the
+    fitted flights, the number is that ratio.
     """
     names = {channel.message for channel in source.channels if channel.interpolation == "linear"}
     if source.transform is not None:
@@ -89,13 +91,16 @@ def spanned(source: SampleSource, rate_hz: float, rates: Mapping[str, float]) ->
 
 
 def unfitted(source: SampleSource, rate_hz: float, rates: Mapping[str, float]) -> str | None:
-    """Return which messages come too seldom for an observer to watch anything, as it was fitted; None where none do."""
+    """Return which messages come too seldom for an observer to watch anything, compared with its fit.
+
+    None if none do.
+    """
     slow = [name for name in spanned(source, rate_hz, rates) if name in source.fitted_hz]
     return ", ".join(f"{name} {rates[name]:.2g} Hz, fitted at {source.fitted_hz[name]:.3g} Hz" for name in slow) or None
 
 
 def seldom_text(observer: str, source: SampleSource, rate_hz: float, rates: Mapping[str, float]) -> str | None:
-    """Return a line about an observer that samples much faster than its messages come; None where it does not."""
+    """Return a line about an observer that samples much faster than its messages come; None if it does not."""
     slow = spanned(source, rate_hz, rates)
     if not slow:
         return None

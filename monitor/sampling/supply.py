@@ -1,7 +1,7 @@
-"""The battery's voltage, with which motors act on their commands: u (1 + share v), v its deviation from the usual one.
+"""The battery's voltage, with which motors respond to commands: u (1 + share v), v its relative deviation from usual.
 
-What is reported of batteries comes seldom and without a time. So it is no channel, for which samples would wait: each
-sample takes what came last before it.
+Reports about batteries come seldom and without a time of measurement. The voltage is therefore no channel, for which
+samples would wait: each sample takes the last report before it.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from adapters.batch import Batch
 from adapters.toml_tables import Table
 
 BATTERY_MESSAGE = "SYS_STATUS"
-"""Voltage, current and charge of the first battery."""
+"""Message with voltage, current and charge of the first battery."""
 CELLS_MESSAGE = "BATTERY_STATUS"
-"""The same of each battery, with the voltage of each cell, or of all together in place of the first."""
+"""Message with the same of each battery, and the voltage of each cell, or of all together in place of the first."""
 _FIELD = "voltage_battery"
 _VOLTS = 0.001
 """MAVLink gives millivolts."""
 _FURTHEST = 0.5
-"""Share of the usual voltage beyond which a number is none: chosen, lithium cells go from 4.2 to 3 V, and what is not
-known is sent as 65.5 V."""
+"""Share of the usual voltage beyond which a number is no voltage. Chosen: lithium cells go from 4.2 to 3 V, and an
+unknown voltage is sent as 65.5 V."""
 
 
 @dataclass(frozen=True, slots=True)
 class SupplyRule:
-    """How commands act with the battery's voltage."""
+    """How commands depend on the battery's voltage."""
 
     volts: float  # usual voltage
-    share: float  # how many per cent a command loses by a voltage that is lower by one
+    share: float  # by how many per cent a command weakens if the voltage is one per cent lower
 
 
 class Supply:
-    """What commands are multiplied by; one, before a voltage is known."""
+    """The factor by which commands are multiplied; one until a voltage is known."""
 
     def __init__(self, rule: SupplyRule) -> None:
         self._rule = rule

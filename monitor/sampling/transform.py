@@ -1,7 +1,7 @@
-"""Where an observer's samples come from: channels as they are, or raw signals through a named transform.
+"""The source of an observer's samples: channels as they are, or raw signals through a named transform.
 
-A transform turns samples of raw signals (``u`` in the order of its ``signals``) into samples (u, y) at the
-observer's rate. It is deterministic, keeps its own state and starts anew with a sample that is marked ``restart``.
+A transform turns samples of raw signals (``u`` in the order of its ``signals``) into samples (u, y) at the observer's
+rate. It is deterministic, keeps its own state and restarts with a sample that is marked ``restart``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from monitor.vehicles.kinds import transform_classes
 
 
 class Transform(Protocol):
-    """What a kind of transform offers."""
+    """The interface of a kind of transform."""
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -34,7 +34,7 @@ class Transform(Protocol):
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw samples complete, each with the ``known_ns`` of that raw sample.
 
-        What comes out does not depend, to the bit, on how the raw samples are cut into batches.
+        The result does not depend, to the bit, on how the raw samples are cut into batches.
         """
 
 
@@ -44,15 +44,15 @@ class TransformRule:
 
     kind: str  # name of a transform of a kind of vehicle
     rate_hz: float  # samples of the raw signals per second
-    parameters: Mapping[str, float] = field(default_factory=dict)  # what the kind asks for
+    parameters: Mapping[str, float] = field(default_factory=dict)  # parameters of the kind
 
 
 @dataclass(frozen=True, slots=True)
 class LiftRule:
-    """What has to carry a vehicle of rotors and wings, alone, where its samples are evidence."""
+    """What alone has to carry a vehicle with rotors and wings for its samples to be evidence."""
 
     by: Literal["rotors", "wings"]
-    least_command: float = 0.0  # mean command from which it may be the rotors; 0: not looked at
+    least_command: float = 0.0  # smallest mean command at which it may be the rotors; 0: not checked
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +62,15 @@ class SampleSource:
     # channels of u and y; empty with a transform
     inputs: tuple[Channel, ...] = ()
     outputs: tuple[Channel, ...] = ()
-    transform: TransformRule | None = None  # none takes the channels as they are
+    transform: TransformRule | None = None  # None takes the channels as they are
     signals: tuple[Channel, ...] = ()  # channels of the transform's raw signals, in its order
-    # messages per second in the fitted flights, of those that are no measurements where they come far more seldom
+    # messages per second in the fitted flights, for messages that count as not measured if they come far more seldom
     fitted_hz: Mapping[str, float] = field(default_factory=dict)
-    lift: LiftRule | None = None  # None where it has not both, or is watched whatever carries it
+    lift: LiftRule | None = None  # None if the vehicle does not have both, or is watched whatever carries it
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """All channels it takes."""
+        """All channels that it reads."""
         return (*self.inputs, *self.outputs, *self.signals)
 
 
