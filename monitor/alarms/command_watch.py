@@ -92,6 +92,9 @@ _STREAMS = {
 """Messages that come as often as their sender likes: they are no flood, and one a second of each sender is followed."""
 _STREAM_NS = 1_000_000_000
 """Chosen: as often as an alarm is updated."""
+_MOST_STREAMS = 64
+"""Names and targets of streams that are thinned, 0.5 MB each; messages of more are all followed. Chosen: all names
+for six vehicles; a monitor has one vehicle, a forged log may name 256."""
 _FTP_OPCODE, _FTP_WRITES = 3, range(6, 14)
 """Place of the opcode in its payload, and those from CreateFile to Rename: https://mavlink.io/en/services/ftp.html."""
 _SERIAL_REPLY = 1
@@ -208,6 +211,8 @@ class StreamFilter:
         if not _is_for(entry.name, fields, vehicle):
             return False
         if last_ns is None:
+            if len(self._last_ns) >= _MOST_STREAMS:
+                return True
             last_ns = self._last_ns[key] = np.zeros((256, 256), np.int64)
         last_ns[sender] = at_ns
         return True
