@@ -90,9 +90,9 @@ def stamp_ns_of(packet: bytes) -> int | None:
 
 
 def packet_fields(packet: bytes) -> dict[str, Any]:
-    """Return the values of a packet of MAVLink 2 by name; none where some are arrays."""
-    table = ardupilotmega.mavlink_map[message_number(packet)]
-    if any(length > 1 for length in table.array_lengths):
+    """Return the values of a packet of MAVLink 2 by name; none where some are arrays, or pymavlink does not know it."""
+    table = ardupilotmega.mavlink_map.get(message_number(packet))
+    if table is None or any(length > 1 for length in table.array_lengths):
         return {}
     payload = packet[_HEAD_2 : _HEAD_2 + packet[1]].ljust(table.unpacker.size, b"\0")
     return dict(zip(table.ordered_fieldnames, table.unpacker.unpack(payload), strict=True))
