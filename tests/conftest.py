@@ -162,10 +162,14 @@ def arm_profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
 
 @contextlib.contextmanager
 def plain_fits() -> Iterator[None]:
-    """Fit without measuring what a profile will detect and without drawing its comparison: few tests need them."""
+    """Fit without measuring what a profile will detect, and without its comparison on data kept back, a fit by itself.
+
+    Few tests need them.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
         patch.setattr("replay.fit.draw_comparison", lambda *_: None)
+        patch.setattr("monitor.vehicles.multirotor.fit.compare_kept_back", lambda *_: None)
         yield
 
 
