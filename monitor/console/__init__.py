@@ -1,1 +1,1 @@
-"""At the terminal: the live table of `fauio alarms`, what operators ask of a monitor, shell completion."""
+"""The operator's side: the live table of `fauio alarms`, the web console, commands to a monitor, shell completion."""

@@ -1,4 +1,4 @@
-"""``fauio alarms`` and what an operator does to an alarm: ack, shelve, unshelve, reset; ``fauio schema``."""
+"""``fauio alarms`` and the commands on an alarm: ack, shelve, unshelve, reset; ``fauio schema``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from monitor.event import AlarmEvent
 
 NOBODY_AFTER_S = 1.0
-"""Chosen: a monitor on the network is discovered well before, and a person waits that long without a word."""
+"""Seconds after which a message tells that no monitor was found. Chosen: a monitor on the network is discovered well
+before, and a person waits that long without a message."""
 
 _VERBS = {
     "ack": "confirm that you have seen an alarm",
@@ -59,7 +60,7 @@ def add_alarms(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         option(command, "--reason TEXT", "reason, kept in the journal")
         option(command, "--by NAME", "operator, kept in the journal (default: your user name)")
         option(command, "--json", "print the reply as JSON", default=argparse.SUPPRESS)
-        # also before the command: what is not given here must not undo what was given there
+        # these options are also accepted before the command: a default here must not override a value given there
         _add_where(command, vehicle="vehicle of the alarm (default: found by the alarm)", default=argparse.SUPPRESS)
         command.set_defaults(handler=run_command)
 
@@ -87,7 +88,7 @@ def _add_where(parser: argparse.ArgumentParser, vehicle: str, default: str | Non
 
 
 def add_endpoints(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    """Add where monitors are to be found over Zenoh."""
+    """Add the options that tell where monitors are reached over Zenoh."""
     option(
         parser,
         "--connect ENDPOINT",
@@ -116,7 +117,7 @@ def monitors(args: argparse.Namespace) -> Iterator[tuple[zenoh.Session, Sequence
 
 
 def run_alarms(args: argparse.Namespace) -> int:
-    """Show alarms until interrupted or for the time asked: a table on a terminal, JSON lines in a pipe."""
+    """Show alarms until interrupted or for the given time: a table on a terminal, JSON lines in a pipe."""
     from monitor.bus.alarm_text import alarm_line
     from monitor.bus.payload import to_json
     from monitor.bus.status_watch import StatusWatch
@@ -177,7 +178,7 @@ def _print_lines(
 
 
 def run_command(args: argparse.Namespace) -> int:
-    """Ask a monitor to do something to an alarm, print what it did."""
+    """Send a command on an alarm to its monitor, print the result."""
     from monitor.bus.alarm_text import alarm_line
     from monitor.bus.payload import to_json
     from monitor.console.operator_client import find_target, send_command

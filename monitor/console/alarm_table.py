@@ -1,4 +1,4 @@
-"""Which alarms are active, from their events: the rows of a table for operators, most urgent first."""
+"""The table of active alarms for operators, built from alarm events, most urgent first."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from monitor.alarms.alarm import alarm_message
 from monitor.event import AlarmEvent
 
 KEPT_CLEARED_S = 30.0
-"""Chosen: a cleared alarm stays in view for as long as it takes to look there."""
+"""Seconds for which a cleared alarm is still shown. Chosen: as long as an operator takes to look."""
 MAX_ALARMS = 1000
-"""Rows come from the network: the memory for them has to end."""
+"""Largest number of alarms kept. Rows come from the network: their memory has to be bounded."""
 
 Group = Literal["active", "shelved", "cleared"]
 
@@ -28,10 +28,10 @@ RowKey = tuple[str, str, str]
 class AlarmRow:
     """One alarm as text, without control characters."""
 
-    key: RowKey  # vehicle, observer and channel, as they came
-    id: str  # of the alarm, as it came
-    group: Group  # cleared: until a moment ago
-    # the columns; ``channel`` with its observer, ``brief`` the size without what it is a share of
+    key: RowKey  # vehicle, observer and channel, as received
+    id: str  # of the alarm, as received
+    group: Group  # cleared: a moment ago
+    # the columns; ``channel`` with its observer, ``brief`` the size without the quantity that it is a share of
     severity: str
     vehicle: str
     channel: str
@@ -51,15 +51,15 @@ class AlarmTable:
         self._sizes: dict[RowKey, tuple[float, float | None]] = {}
 
     def resize(self, vehicle: str, observer: str, sizes: Mapping[str, float], shares: Mapping[str, float]) -> None:
-        """Take what an observer estimates now, by channel, of motors also as a share: sizes between alarms' events."""
+        """Update the sizes of an observer's faults between alarm events, by channel; those of motors also as shares."""
         for channel, size in sizes.items():
             if (key := (vehicle, observer, channel)) in self._latest:
                 self._sizes[key] = size, shares.get(channel)
 
     def take(self, event: AlarmEvent, now_ns: int) -> None:
-        """Take an event that arrived at a Unix time; one older than what is known of its channel changes nothing.
+        """Process an event that arrived at a Unix time; one older than the channel's latest event changes nothing.
 
-        An alarm that had cleared before it was ever seen is not shown.
+        An alarm that cleared before any of its other events arrived is not shown.
         """
         key = (event.vehicle, event.observer, event.channel)
         known = self._latest.pop(key, None)
@@ -83,7 +83,7 @@ class AlarmTable:
         ]
 
     def entries(self, now_ns: int) -> list[tuple[Group, AlarmEvent]]:
-        """Return what there is at a Unix time: active alarms, worst and newest first, then shelved, then cleared."""
+        """Return the alarms at a Unix time: active ones, most severe and newest first, then shelved, then cleared."""
         for key, cleared_ns in list(self._cleared_ns.items()):
             if now_ns - cleared_ns > 1e9 * KEPT_CLEARED_S:
                 del self._cleared_ns[key], self._latest[key]
@@ -93,7 +93,7 @@ class AlarmTable:
         return [(group, self._sized(key, event)) for group, key, event in rows]
 
     def _sized(self, key: RowKey, event: AlarmEvent) -> AlarmEvent:
-        """Return the event with the size that its fault has now, its sentence, too."""
+        """Return the event with the current size of its fault, in its sentence, too."""
         if (now := self._sizes.get(key)) is None or event.state == "cleared":
             return event
         size, share = now
@@ -110,7 +110,7 @@ class AlarmTable:
         return replace(event, estimate=size, relative=share, message=message)
 
     def _make_room(self) -> None:
-        """Forget the channel that was silent longest: who publishes endless names shall not fill the memory."""
+        """Forget the channel without an event for longest: a sender of endless names must not fill the memory."""
         while len(self._latest) > MAX_ALARMS:
             key = next(iter(self._cleared_ns), next(iter(self._latest)))
             self._cleared_ns.pop(key, None)
@@ -162,7 +162,7 @@ def _time_of_day(time_ns: int) -> str:
 
 
 def age(elapsed_ns: int) -> str:
-    """Return a time that has passed in its largest unit: ``12 s``, ``3 min``, ``2 h 5 min``, ``4 d``."""
+    """Return a duration in its largest unit: ``12 s``, ``3 min``, ``2 h 5 min``, ``4 d``."""
     seconds = max(0, elapsed_ns) // 1_000_000_000
     if seconds < 60:
         return f"{seconds} s"

@@ -27,7 +27,7 @@ from monitor.bus.subscriber import AlarmSubscriber
 from monitor.console.alarm_table import AlarmRow, AlarmTable, RowKey
 
 REFRESH_S = 0.25
-"""Chosen: four times a second looks live and costs next to nothing."""
+"""Seconds between two drawings of the table. Chosen: four times a second looks live and costs next to nothing."""
 
 # the terminal's own colours, which its user has chosen to be readable
 _COLOURS = {"warning": "yellow", "critical": "red"}
@@ -36,14 +36,14 @@ _HELP = "arrows: choose   a ack   s shelve   u unshelve   r reset   Ctrl-C ends"
 _AROUND_ROWS = 7
 """Lines of the screen that are not rows of alarms: heading, rules, a message, the latest answer and the keys."""
 _LEAST_ROWS = 3
-"""Shown even where a terminal is lower than that."""
+"""Rows of alarms that are shown even on a lower terminal."""
 _MOST_WARNINGS = 3
-"""Lines about monitors that are not well. Chosen: the alarms are what the table is for."""
+"""Largest number of lines about monitors that are not well. Chosen: the table is for alarms."""
 _LAST = "message"
 _LAST_WIDTH = 20
-"""Letters that the last column needs to say anything."""
+"""Least width, letters, at which the last column is readable."""
 _GAP = 3
-"""Rich puts a blank, a rule and a blank between columns."""
+"""Columns that Rich puts between two columns of the table: a blank, a rule and a blank."""
 _TITLES = {"age": "since", "brief": "size"}
 # from the widest to the narrowest terminal
 _LAYOUTS = (
@@ -55,11 +55,11 @@ _LAYOUTS = (
 
 _ARROWS = {b"\x1b[A": "up", b"\x1b[B": "down", b"\x1bOA": "up", b"\x1bOB": "down"}
 _MOST_BYTES = 256
-"""Chosen: more than a person presses between two looks."""
+"""Bytes of input that are read at once. Chosen: more than a person types between two drawings."""
 
 
 def can_redraw() -> bool:
-    """Return whether standard output is a terminal that lines can be drawn again on."""
+    """Return whether standard output is a terminal whose lines can be redrawn."""
     console = Console()
     return console.is_terminal and not console.is_dumb_terminal
 
@@ -72,10 +72,10 @@ def watch(
     endpoints: Sequence[str],
     until: float,
 ) -> None:
-    """Draw the active alarms, again and again, and which vehicles are not watched as they should be.
+    """Show the active alarms, redrawn again and again, and the vehicles that are not monitored as they should be.
 
-    ``ask`` sends a command about an alarm to the monitor of a vehicle, and raises UsageError where it is refused;
-    ``endpoints`` are named where no monitor is there; ``until`` is the monotonic time at which to stop, seconds.
+    ``ask`` sends a command on an alarm to the monitor of a vehicle, and raises UsageError if it is refused;
+    ``endpoints`` are named if no monitor is found; ``until`` is the monotonic time at which to stop, seconds.
     """
     table, desk = AlarmTable(), _Desk(ask)
     console = Console()
@@ -84,7 +84,7 @@ def watch(
             event = subscriber.receive(min(REFRESH_S, until - now))
             while event is not None:
                 table.take(event, time.time_ns())
-                # at most one refresh a period, however many come
+                # at most one drawing a period, however many events arrive
                 event = subscriber.receive(0.0) if time.monotonic() - now < REFRESH_S else None
             for sizes in estimates.take():
                 table.resize(*sizes)
@@ -98,7 +98,7 @@ def watch(
 
 
 class _Desk:
-    """The alarm that is chosen, and what was asked of its monitor."""
+    """The selected alarm, and the command sent to its monitor."""
 
     def __init__(self, ask: Callable[[str, str, Mapping[str, Any]], Any]) -> None:
         self.chosen: RowKey | None = None
@@ -107,7 +107,7 @@ class _Desk:
         self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def press(self, key: str, rows: Sequence[AlarmRow]) -> None:
-        """Choose another row, or ask something about the one that is chosen, in a thread."""
+        """Select another row, or send a command on the selected one, in a thread."""
         keys = [row.key for row in rows]
         index = keys.index(self.chosen) if self.chosen in keys else None
         if key in ("up", "k", "down", "j") and keys:
@@ -152,17 +152,17 @@ def draw(
     columns = _columns(shown, width)
     table = Table(box=box.SIMPLE_HEAD, expand=True, padding=(0, 1), pad_edge=False, show_edge=False)
     for name in columns:
-        # a ratio takes what is left, and only the message may be cut
+        # a ratio takes the remaining width, and only the message may be cut
         table.add_column(_TITLES.get(name, name), no_wrap=True, overflow="ellipsis", ratio=1 if name == _LAST else None)
     for row in shown:
-        # Text and not str: what came over a network is no markup
+        # Text and not str: text from the network is no markup
         style = f"{_style(row)} reverse".strip() if row.key == chosen else _style(row)
         table.add_row(*(Text(getattr(row, name)) for name in columns), style=style)
     active = sum(row.group == "active" for row in rows)
     gone = sorted({row.vehicle for row in rows} - subscriber.live)
     header = _header(active, gone, subscriber, endpoints, {status.vehicle: status.messages_per_s for status in there})
     lines = [header, *warnings, table if rows else Text("no alarm is active", style="dim")]
-    if shown and _LAST not in columns:  # no room beside them: below, of one
+    if shown and _LAST not in columns:  # the message column does not fit: the message of one alarm goes below the table
         told = next((row for row in shown if row.key == chosen), shown[0])
         lines.append(Text(f"{told.channel}: {told.message}", style=_style(told), overflow="ellipsis", no_wrap=True))
     if len(rows) > len(shown):
@@ -173,7 +173,7 @@ def draw(
 
 
 def _columns(rows: Sequence[AlarmRow], width: int) -> tuple[str, ...]:
-    """Return the columns there is room for."""
+    """Return the columns that fit."""
     for names in _LAYOUTS[:-1]:
         least = sum(
             _LAST_WIDTH
@@ -209,7 +209,7 @@ def _header(
 
 
 def _warnings(unwell: Sequence[VehicleStatus]) -> list[Text]:
-    """Return a line for each of the first vehicles of which no alarm says little."""
+    """Return a line for each of the first vehicles that are not well: for them a lack of alarms means little."""
     lines = [status.line() for status in unwell[:_MOST_WARNINGS]]
     if len(unwell) > _MOST_WARNINGS:
         lines.append(f"and {len(unwell) - _MOST_WARNINGS} more vehicles are not watched as they should be")
@@ -224,7 +224,10 @@ def _style(row: AlarmRow) -> str:
 
 
 class Keyboard:
-    """Reads keys as a context; the terminal is as before afterwards. Where standard input is none, no key comes."""
+    """Reads keys as a context; the terminal is restored afterwards.
+
+    If standard input is no terminal, there are no keys.
+    """
 
     def __init__(self) -> None:
         self._file: int | None = None

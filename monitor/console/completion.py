@@ -10,7 +10,7 @@ from pathlib import PurePath
 from typing import Any
 
 SHELLS = ("bash", "zsh", "fish")
-# Vehicles write names in capitals too: 00000012.BIN.
+# Vehicles also write names in capitals: 00000012.BIN.
 _LOGS = [f"*.{kind}{packed}" for kind in ("tlog", "mcap", "ulg", "bin", "BIN") for packed in ("", ".xz", ".gz")]
 _FOLDERS = ("PROFILE", "DIR", "FOLDER")
 
@@ -37,8 +37,8 @@ def _run_completion(parser: argparse.ArgumentParser, args: argparse.Namespace) -
 def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
     """Return the script that completes a command line in a shell.
 
-    What an argument takes is read off its metavar: ``LOG`` is a recording, ``PROFILE`` a folder, ``OUT.mcap`` a file
-    with that suffix. The parser's arguments are marked with what completes them.
+    The metavar of an argument tells what completes it: ``LOG`` is a recording, ``PROFILE`` a folder, ``OUT.mcap`` a
+    file with that suffix. The parser's arguments are marked accordingly.
     """
     import shtab
 
@@ -51,7 +51,7 @@ def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
         elif name in _FOLDERS:
             completer = shtab.DIRECTORY
         elif isinstance(name, str) and (suffix := PurePath(name).suffix):
-            # zsh takes a pattern that stands alone in its parentheses for something else
+            # zsh mistakes a pattern that stands alone in its parentheses for something else
             completer = shtab.glob(f"*{suffix}", f"*{suffix.upper()}")
         else:
             continue
@@ -60,11 +60,11 @@ def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    """Yield the arguments of a parser and of the commands below it, which are left their line of help to be shown."""
+    """Yield the arguments of a parser and of its commands; give each command its line of help as description."""
     for action in parser._actions:
         yield action
         if isinstance(action, argparse._SubParsersAction):
-            # what help hides, shtab would leave out
+            # shtab leaves out what help hides
             action.help = "command"
             for command in action._choices_actions:
                 below = action.choices[command.dest]

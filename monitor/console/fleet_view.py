@@ -1,4 +1,4 @@
-"""What the console knows of all vehicles: alarms and states as ``fauio alarms`` has them, and the past."""
+"""The console's data of all vehicles: alarms and states as in ``fauio alarms``, and histories."""
 
 from __future__ import annotations
 
@@ -22,25 +22,27 @@ if TYPE_CHECKING:
     import zenoh
 
 MAX_HISTORIES: Final = 64
-"""Vehicles of which the past is kept. Chosen: four times the 16 that a console is meant for, 150 MB at most."""
+"""Largest number of vehicles with a history. Chosen: four times the 16 that a console is meant for, 150 MB at most."""
 MAX_SHOWN: Final = 200
-"""Alarms that go to a page, the most urgent. Chosen: more than anyone reads; the page says how many more there are."""
+"""Largest number of alarms sent to a page, the most urgent ones. Chosen: more than anyone reads; the page shows how
+many more there are."""
 _MAX_ESTIMATE_BYTES: Final = 65_536
-"""Chosen: ten times the largest estimate there is."""
+"""Largest message that is processed, bytes. Chosen: ten times the largest estimate there is."""
 _WAIT_S: Final = 0.25
-"""Seconds until a wait for events looks whether to end."""
+"""Seconds for which the thread waits for events before it checks whether to stop."""
 _REFRESH_NS: Final = 1_000_000_000
-"""Chosen: how late a page may show other sizes of alarms, and that shelving has ended."""
+"""Seconds between two updates of the alarms without an event. Chosen: how late a page may show changed sizes of alarms,
+and the end of shelving."""
 _GONE_NS: Final = 3600 * 1_000_000_000
-"""Chosen: a vehicle whose monitor is gone is shown until one has noticed, and not for days."""
+"""Seconds for which a vehicle without a monitor is shown. Chosen: long enough to be noticed, and not for days."""
 _UNKNOWN: Final[tuple[int, dict[str, Any]]] = (0, {"state": "starting"})
-"""Card of a vehicle whose monitor has said nothing yet."""
+"""Card of a vehicle whose monitor has sent no status yet."""
 
 
 class FleetView:
-    """Collects what monitors publish; :meth:`news` says what a reader does not have yet.
+    """Collects what monitors publish; :meth:`news` returns the data that a reader does not have yet.
 
-    The session is left open by :meth:`close`.
+    :meth:`close` leaves the session open.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str = "fauio") -> None:
@@ -66,7 +68,7 @@ class FleetView:
         self.subscriber.close()
 
     def news(self, have: Since, vehicle: str | None = None) -> dict[str, Any]:
-        """Return what is newer than what a reader has, which is brought up to date; of one vehicle also its past."""
+        """Return the data newer than ``have``, and update ``have``; for a named vehicle also its history."""
         now_ns = time.time_ns()
         live = self.subscriber.live
         news: dict[str, Any] = {}
@@ -139,7 +141,7 @@ class FleetView:
                 self._table.resize(vehicle, observer, *history.take_estimate(observer, payload))
 
     def _history(self, vehicle: str) -> VehicleHistory | None:
-        """Return a vehicle's past; a new one takes the place of one whose monitor is gone, or finds none."""
+        """Return a vehicle's history; if there are too many, replace one without a monitor, or return None."""
         if vehicle in self._histories:
             return self._histories[vehicle]
         if len(self._histories) >= MAX_HISTORIES:
@@ -151,7 +153,7 @@ class FleetView:
 
 
 def flight_mode(beat: Mapping[str, Any]) -> str:
-    """Return ``LOITER`` or ``LOITER, disarmed``; empty where the heartbeat, which may hold anything, tells neither."""
+    """Return ``LOITER`` or ``LOITER, disarmed``; empty if the heartbeat, which may hold anything, has no valid mode."""
     kind, autopilot, base, custom = (beat.get(key) for key in ("type", "autopilot", "base_mode", "custom_mode"))
     if not (type(kind) is int and type(base) is int and type(custom) is int and 0 <= custom < 1 << 32):
         return ""
@@ -165,9 +167,9 @@ def _clean(event: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _shown(channel: Mapping[str, Any]) -> tuple[float, str, float]:
-    """Return a channel's threshold, the unit that people say, and what both are multiplied by then.
+    """Return a channel's threshold, the unit to display, and the factor to multiply both estimates and threshold by.
 
-    Of a motor the threshold is a share of its usual command, as its columns are shares of commands.
+    The threshold of a motor is a share of its usual command, as its estimates are shares of commands.
     """
     unit, command = channel.get("unit"), number(channel.get("usual_command"))
     of_motor = command > 0.0
@@ -176,7 +178,7 @@ def _shown(channel: Mapping[str, Any]) -> tuple[float, str, float]:
 
 
 def vehicle_card(status: VehicleStatus, payload: Mapping[str, Any], mode: str, heard_ns: int) -> dict[str, Any]:
-    """Return what is shown of a vehicle, heard at a Unix time; all of it is checked, as it comes from the network."""
+    """Return a vehicle's data to show, received at a Unix time; all is checked, as it comes from the network."""
     links = mapping(payload.get("links"))
     watching = {
         printable(name): {

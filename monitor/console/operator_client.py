@@ -1,4 +1,4 @@
-"""An operator's side of the command queries: which alarm is meant, what its monitor says to that."""
+"""The client of an operator's commands: finds the alarm that is meant, sends the command, returns the reply."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from monitor.bus.payload import decode_payload, to_json
 from monitor.event import AlarmEvent, valid_event
 
 ANSWER_S = 5.0
-"""Chosen: a monitor answers within milliseconds, a network of radios may take seconds."""
+"""Seconds to wait for a reply. Chosen: a monitor answers within milliseconds, a network of radios may take seconds."""
 TRIES = 10
-"""Chosen: with the pause two seconds, for routes that come up after the monitor was announced."""
+"""Number of tries. Chosen: with the pause two seconds, for routes that come up after the monitor was announced."""
 PAUSE_S = 0.2
-"""Between two tries. Chosen: a person does not notice one."""
+"""Seconds between two tries. Chosen: a person does not notice one."""
 
 _ULID = re.compile(r"[0-9A-HJKMNP-TV-Z]{26}")
 _NAMED = 5
-"""Alarms that an error names: what fits on a line."""
+"""Largest number of alarms that an error names: those that fit on a line."""
 
 
 class Target(NamedTuple):
@@ -40,11 +40,11 @@ class _Answer(NamedTuple):
 
 
 def find_target(session: zenoh.Session, text: str, prefix: str, vehicle: str, endpoints: Sequence[str]) -> Target:
-    """Return which alarm a text means: an id, ``OBSERVER/CHANNEL`` or ``CHANNEL``.
+    """Return the alarm that a text names: an id, ``OBSERVER/CHANNEL`` or ``CHANNEL``.
 
-    An id, or ``OBSERVER/CHANNEL``, of a named vehicle is taken as it stands. Everything else is looked up among the
-    active alarms of all monitors. Raises UsageError where none answers at the ``endpoints``, or no alarm or several are
-    meant.
+    An id, or ``OBSERVER/CHANNEL``, of a named vehicle is used as it stands. Everything else is looked up among the
+    active alarms of all monitors. Raises UsageError if no monitor answers at the ``endpoints``, or no alarm or several
+    match.
     """
     root = vehicle_root(prefix, vehicle)
     whole = "id" if _ULID.fullmatch(text) else "channel" if "/" in text else None
@@ -80,7 +80,7 @@ def send_command(
 ) -> dict[str, Any]:
     """Ask a vehicle's monitor to acknowledge, shelve, unshelve or reset an alarm; return its reply.
 
-    Raises UsageError where the monitor is not there, does not take this command, or says why not.
+    Raises UsageError if the monitor does not answer, does not accept this command, or refuses it with a reason.
     """
     root = vehicle_root(prefix, vehicle)
     answers = _ask(session, root, f"command/{verb}", to_json(request))
@@ -101,9 +101,9 @@ def send_command(
 
 
 def past_events(session: zenoh.Session, prefix: str, vehicle: str = ANY) -> list[AlarmEvent]:
-    """Return the past events that the monitors of a vehicle, or of all, still know.
+    """Return the past events that the monitors of a vehicle, or of all, still keep.
 
-    Raises UsageError where the vehicle's name or the prefix cannot be part of a key.
+    Raises UsageError if the vehicle's name or the prefix cannot be part of a key.
     """
     answers = _ask(session, vehicle_root(prefix, vehicle), "alarms?history=true")
     listed = [answer.payload for answer in answers if isinstance(answer.payload, list)]
@@ -111,7 +111,7 @@ def past_events(session: zenoh.Session, prefix: str, vehicle: str = ANY) -> list
 
 
 def _ask(session: zenoh.Session, root: str, what: str, payload: bytes | None = None) -> list[_Answer]:
-    """Return all answers; asked again where there is none, as a route can be slower than the session it is for."""
+    """Return all replies; ask again if there is none, as a route can come up later than the session that uses it."""
     for left in reversed(range(TRIES)):
         replies = list(
             session.get(

@@ -1,4 +1,4 @@
-"""What the console keeps of a vehicle's past, within a bound: estimates, link, track, flight modes, messages."""
+"""The console's bounded history of a vehicle: estimates, link, track, flight modes, messages."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from monitor.bus.estimate_watch import live_shares
 from monitor.event import AlarmEvent
 
 ROWS: Final = 3600
-"""Chosen: 15 minutes of estimates four times a second, an hour of the status: a flight of a battery."""
+"""Rows kept. Chosen: 15 minutes of estimates four times a second, an hour of the status: a flight of a battery."""
 SLOT_NS: Final = 250_000_000
-"""Chosen: a plot that moves four times a second looks live."""
+"""Nanoseconds between two estimates kept. Chosen: a plot that moves four times a second looks live."""
 MAX_OBSERVERS: Final = 16
-"""Names come from the network. Chosen: a profile has two to five."""
+"""Largest number of observers of a vehicle: names come from the network. Chosen: a profile has two to five."""
 MAX_CHANNELS: Final = 64
-"""Names come from the network. Chosen: the largest observer has a dozen."""
+"""Largest number of channels of an observer: names come from the network. Chosen: the largest observer has a dozen."""
 MAX_ENTRIES: Final = 200
-"""Chosen: modes, messages and alarm events of a flight; more are not read."""
+"""Largest number of modes, messages and alarm events each. Chosen: those of a flight; more are not read."""
 _LINK: Final = ("messages_per_s", "latency_ms", "lost_share", "delay_s", "jitter_s")
 _PLACES: Final = ("latitude", "longitude", "altitude", "gps_latitude", "gps_longitude", "gps_altitude")
 _PULLED: Final = ("gps_north", "gps_east")
 STATUS_COLUMNS: Final = (*_LINK, *_PLACES, *_PULLED)
 
 Since = dict[str, int]
-"""What a reader has: the count of rows or entries by part of the history."""
+"""The data that a reader has: the number of rows or entries of each part of the history."""
 
 
 class Ring:
-    """The last rows of numbers under names, with their times in seconds."""
+    """The latest rows of numbers in named columns, with their times in seconds."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
@@ -51,13 +51,13 @@ class Ring:
         self.count += 1
 
     def since(self, count: int) -> dict[str, Any]:
-        """Return rows behind the first ``count``: times (float64) and values by row (float64) as base64."""
+        """Return the rows after the first ``count``: times (float64) and values by row (float64) as base64."""
         rows = np.arange(max(count, self.count - ROWS, 0), self.count) % ROWS
         return {"rows": len(rows), "times": _base64(self._times[rows]), "values": _base64(self._values[rows])}
 
 
 class VehicleHistory:
-    """The past of one vehicle; everything that is taken comes from the network and is checked here."""
+    """The history of one vehicle; all data come from the network and are checked here."""
 
     def __init__(self) -> None:
         self.observers: dict[str, Ring] = {}
@@ -72,9 +72,9 @@ class VehicleHistory:
         self._counts: Since = dict.fromkeys(self._entries, 0)
 
     def take_estimate(self, observer: str, payload: Any) -> tuple[Mapping[str, float], Mapping[str, float]]:
-        """Take an observer's estimate, one for each slot of time; return what each channel is held responsible for.
+        """Process an observer's estimate, one for each slot of time; return the isolated size of each channel.
 
-        Beside that, of motors, as a share of their commands: that is what their columns hold.
+        Also return the sizes of motors as shares of their commands: the unit of their columns.
         """
         if not isinstance(payload, Mapping) or not math.isfinite(time_ns := number(payload.get("time_ns"))):
             return {}, {}
@@ -104,7 +104,7 @@ class VehicleHistory:
         return isolated, shares["isolated"]
 
     def take_status(self, payload: Mapping[str, Any], mode: str) -> None:
-        """Take a status, once a second, with the name of the flight mode."""
+        """Process a status, sent once a second, with the name of the flight mode."""
         time_s = number(payload.get("time_ns")) / 1e9
         link = next((figures for figures in mapping(payload.get("links")).values() if isinstance(figures, Mapping)), {})
         facts = mapping(payload.get("facts"))
@@ -127,7 +127,7 @@ class VehicleHistory:
                 self._add("texts", {"time_s": said_s, "text": words, "severity": level})
 
     def take_event(self, event: AlarmEvent) -> None:
-        """Take an alarm event, for the time line."""
+        """Add an alarm event to the time line."""
         self._add(
             "events",
             {
@@ -142,7 +142,7 @@ class VehicleHistory:
         )
 
     def since(self, have: Since) -> dict[str, Any]:
-        """Return what is newer than what a reader has, which is brought up to date; empty where nothing is."""
+        """Return the data newer than ``have``, and update ``have``; empty if there are none."""
         news: dict[str, Any] = {}
         observers = {}
         for name, ring in self.observers.items():
@@ -178,7 +178,7 @@ def _place(value: object) -> list[float]:
 
 
 def mapping(value: object) -> Mapping[str, Any]:
-    """Return a mapping from the network, an empty one for what is none."""
+    """Return a mapping from the network, or an empty one if the value is no mapping."""
     return value if isinstance(value, Mapping) else {}
 
 

@@ -1,4 +1,4 @@
-"""``fauio console``: the web page of all monitors that it hears."""
+"""``fauio console``: a web page of all monitors on the network."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from adapters.errors import UsageError
 from monitor.console.alarm_commands import add_endpoints, monitors
 
 _SHORTEST = 16
-"""Letters of a token. Chosen: as many random ones as nobody guesses at one a second."""
+"""Letters of a token. Chosen: nobody guesses so many random letters at one guess a second."""
 _HOST_NAME = re.compile(r"[A-Za-z0-9.-]+")
 _LOOK_S = 0.5
-"""How soon it is seen that the server has ended."""
+"""Seconds between two checks whether the server still runs."""
 
 
 def add_console(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

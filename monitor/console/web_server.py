@@ -1,4 +1,4 @@
-"""The web console: pages, a stream of what is new, and operators' commands, from a thread of its own."""
+"""The web console: pages, a stream of news, and operators' commands, served by a thread of its own."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ COOKIE: Final = "fauio-console"
 LOGIN: Final = "/login"
 PUBLIC: Final = (LOGIN, "/page/console.css", "/page/mark.svg", "/page/login.js")
 _STALLED_S: Final = 30.0
-"""Chosen: a phone that changes its network is back before; a browser that was stopped is not."""
+"""Seconds that a browser may take to read an answer before its connection is cut off. Chosen: a phone that changes its
+network is back before; a browser that was stopped is not."""
 _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; form-action 'self'; "
     "base-uri 'none'; frame-ancestors 'none'"
@@ -66,10 +67,10 @@ _HEADERS: Final = {
 
 
 class Guard:
-    """Lets through what may pass to an application, and adds the headers of security.
+    """Refuses requests without permission, and adds security headers to the application's answers.
 
-    A name in ``Host`` that is not among ``hosts`` may be that of another site, made to point here; an address cannot
-    be. With a ``token`` all pages but the one that asks for it need the cookie, or the token as a bearer's.
+    A name in ``Host`` that is not among ``hosts`` may belong to another site that was made to point here; an address
+    cannot. With a ``token`` all pages except the login page require the cookie, or the token as a bearer token.
     """
 
     def __init__(self, app: ASGIApp, hosts: Collection[str], token: str | None) -> None:
@@ -78,7 +79,7 @@ class Guard:
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or let the application."""
+        """Answer a request, or pass it to the application."""
         if scope["type"] != "http":
             return
 
@@ -87,7 +88,7 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 headers.update(_HEADERS)
                 headers.setdefault("Cache-Control", "no-store")
-            # a page that does not read for so long is cut off, as another may need its place
+            # a page that does not read for so long is cut off, as another may need its connection
             async with asyncio.timeout(_STALLED_S):
                 await send(message)
 
@@ -131,29 +132,30 @@ class Guard:
 
 
 def cookie_of(token: str) -> str:
-    """Return what a browser keeps in place of a token."""
+    """Return the value of the cookie, which a browser keeps in place of a token."""
     return hmac.digest(token.encode(), b"fauio console", hashlib.sha256).hex()
 
 
 def same(given: str, right: str) -> bool:
-    """Return whether two secrets are the same, in a time that does not depend on where they differ."""
+    """Return whether two secrets are equal, in a time that does not depend on where they differ."""
     return hmac.compare_digest(given.encode(), right.encode())
 
 
 PERIOD_S: Final = 0.25
-"""Between two pieces of news. Chosen: the eye takes it for live, and an alarm has a second to appear."""
+"""Seconds between two pieces of news. Chosen: it looks live, and an alarm has a second to appear."""
 _ALIVE_S: Final = 5.0
-"""Silence after which a stream says that it is alive. Chosen: a page takes 12 s of it for a lost connection."""
+"""Seconds without news after which a stream sends a sign of life. Chosen: a page takes 12 s without one for a lost
+connection."""
 _MAX_STREAMS: Final = 64
-"""Chosen: four pages for each of 16 vehicles."""
+"""Largest number of open streams. Chosen: four pages for each of 16 vehicles."""
 _MAX_BODY: Final = 4096
-"""Bytes of a command. Chosen: as much as a monitor takes."""
+"""Largest size of a command, bytes. Chosen: as much as a monitor accepts."""
 _MAX_HISTORY: Final = 500
-"""Events that a page lists. Chosen: a journal of a busy week; ``fauio alarms --history`` has all."""
+"""Largest number of events on a page. Chosen: a journal of a busy week; ``fauio alarms --history`` has all."""
 _CLOSE_S: Final = 3.0
-"""Chosen: open streams end within a period; what hangs is not waited for."""
+"""Seconds to wait for open streams at the end. Chosen: they end within a period; one that hangs is not waited for."""
 _LOGIN_PAUSE_S: Final = 1.0
-"""Chosen: a guess a second finds no token."""
+"""Seconds between two guesses of a token. Chosen: a guess a second finds no token."""
 LISTEN = "127.0.0.1:8600"
 _PAGE: Final = Path(__file__).parent / "page"
 _UPLOT: Final = Path(__file__).parent.parent / "views" / "uplot"
@@ -161,20 +163,20 @@ _UPLOT: Final = Path(__file__).parent.parent / "views" / "uplot"
 
 @dataclass(frozen=True, slots=True)
 class ConsoleOptions:
-    """What a console serves and to whom."""
+    """Options of a console: what it serves, and to whom."""
 
     listen: str = LISTEN
     prefix: str = "fauio"
     commands: bool = False  # whether alarms may be acknowledged, shelved and closed
     token: str | None = None
-    hosts: Collection[str] = ()  # names, beside addresses and localhost, that it is reached by
+    hosts: Collection[str] = ()  # names, beside addresses and localhost, under which it is reached
     clips: Path | None = None  # folder of recordings that may be downloaded
 
 
 class ConsoleServer:
-    """Serves the console until it is closed; the session is left open.
+    """Serves the console until closed; the session is left open.
 
-    Raises UsageError where the address cannot be listened on.
+    Raises UsageError if the address cannot be listened on.
     """
 
     def __init__(self, session: zenoh.Session, options: ConsoleOptions) -> None:
@@ -228,11 +230,11 @@ class ConsoleServer:
 
     @property
     def streams(self) -> int:
-        """How many pages are open."""
+        """Number of open pages."""
         return self._streams
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait while it serves, at most so long; return whether it still does."""
+        """Wait until serving ends, at most so long; return whether it still runs."""
         self._thread.join(timeout_s)
         return self._thread.is_alive()
 
@@ -264,7 +266,7 @@ class ConsoleServer:
         )
 
     async def _news(self, vehicle: str | None) -> AsyncIterator[bytes]:
-        """Yield what is new: nothing waits here for a slow reader, who gets the latest when there is room."""
+        """Yield news: nothing waits for a slow reader, who gets the latest data when it reads again."""
         self._streams += 1
         try:
             clips = self._options.clips is not None
@@ -342,7 +344,7 @@ class ConsoleServer:
 
 
 async def _body(request: Request) -> dict[str, Any] | None:
-    """Return the JSON object of a request, None where it is none or too long."""
+    """Return the JSON object of a request, or None if it is no object or too long."""
     if Headers(scope=request.scope).get("content-type", "").partition(";")[0].strip() != "application/json":
         return None
     data = b""
