@@ -119,7 +119,7 @@ class AlarmTable:
 
 
 def _order(event: AlarmEvent, other: AlarmEvent) -> tuple[int, int]:
-    """Return what grows from event to event of a channel: the count within an alarm, its begin between alarms."""
+    """Return a number that grows with each event: the count within an alarm, the begin between a channel's alarms."""
     return (0, event.seq) if event.id == other.id else (event.since_ns, event.seq)
 
 

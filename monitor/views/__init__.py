@@ -1,1 +1,1 @@
-"""What people look at: panels and colours, Rerun files and the live Rerun view."""
+"""What people see of a vehicle: panels and colours, Rerun files and the live Rerun view."""

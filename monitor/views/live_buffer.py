@@ -1,4 +1,4 @@
-"""One vehicle's data on the way to the live view, in bounded memory: thinned in time, the oldest dropped."""
+"""One vehicle's data for the live view, in bounded memory: thinned in time, the oldest dropped."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from monitor.trace import Trace, TraceBuilder
 from monitor.views.panels import Thresholds
 
 MAX_RATE_HZ = 20
-"""Rows a second of an observer or message. Chosen: a plot of a minute has some 1,200 pixels."""
+"""Largest number of rows a second of an observer or message. Chosen: a plot of a minute has some 1,200 pixels."""
 MAX_WAITING_ROWS = 600
-"""Rows of an observer or message that wait at most: 30 s at :data:`MAX_RATE_HZ`. A viewer starts in less."""
+"""Largest number of waiting rows of an observer or message: 30 s at :data:`MAX_RATE_HZ`. A viewer starts in less."""
 MAX_EVENTS = 500
-"""Alarm events that wait at most; chosen as far more than an operator can read in those 30 s."""
+"""Largest number of waiting alarm events; chosen as far more than an operator can read in those 30 s."""
 MAX_FIELDS = 24
-"""Fields of a message that are shown. SERVO_OUTPUT_RAW, the largest message that our observers read, has 18."""
+"""Largest number of fields shown of a message. SERVO_OUTPUT_RAW, the largest message that our observers read, has
+18."""
 
 _PERIOD_NS = 1_000_000_000 // MAX_RATE_HZ
-# Bounds of the search for numbers in JSON from a stranger: entries looked at, and levels of nesting.
+# Bounds of the search for numbers in JSON from the network: entries visited, and levels of nesting.
 _WALK = 200
 _DEPTH = 3
 _CLOCKS = ("time_boot_ms", "time_usec", "time_ns")
@@ -44,14 +45,14 @@ class RawBatch:
     """A message's numeric fields over some time."""
 
     message: str
-    fields: tuple[str, ...]  # names of the fields, those of the first message of that name
+    fields: tuple[str, ...]  # names of the fields, those of the first of these messages
     unix_ns: NDArray[np.int64]  # times of arrival (N,)
     values: NDArray[np.float64]  # one row per message (N, fields); NaN where a message lacks a field
 
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """Everything since the last call of :meth:`VehicleView.drain`."""
+    """All data since the last call of :meth:`VehicleView.drain`."""
 
     traces: tuple[Trace, ...]
     events: tuple[AlarmEvent, ...]
@@ -65,10 +66,10 @@ class _Raw:
 
 
 class VehicleView:
-    """Collects what one vehicle's monitor receives and computes, as an archive does; another thread drains it.
+    """Collects the data that one vehicle's monitor receives and computes, as an archive does; another thread drains it.
 
     Estimates are thinned to :data:`MAX_RATE_HZ` per observer, telemetry of the ``messages`` to be shown to the same
-    rate per message name and sender. Whatever happens to the viewer, no call takes longer than an append.
+    rate per message name and sender. No call takes longer than an append, even if the viewer fails.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class VehicleView:
         self.dropped = 0
 
     def batch(self, batch: Batch) -> None:
-        """Keep the telemetry to be shown; messages that are not to be shown cost nothing."""
+        """Keep the telemetry to be shown; other messages cost nothing."""
         for columns in batch.columns:
             if columns.name in self._wanted:
                 sender = columns.name, columns.system, columns.component
@@ -124,7 +125,7 @@ class VehicleView:
         self.thresholds = dict(thresholds)
 
     def drain(self) -> Shown:
-        """Return and forget everything since the last call; for one thread other than the monitor's."""
+        """Return and forget the data since the last call; for one thread other than the monitor's."""
         with self._lock:
             estimates = {name: list(buffer) for name, buffer in self._estimates.items()}
             events = tuple(self._events)
@@ -152,7 +153,7 @@ class VehicleView:
         )
 
     def __len__(self) -> int:
-        """Return how many rows and events wait."""
+        """Return the number of waiting rows and events."""
         with self._lock:
             waiting = sum(len(buffer) for buffer in self._estimates.values()) + len(self._events)
             return waiting + sum(len(kept.rows) for kept in self._raw.values())
@@ -174,7 +175,7 @@ class VehicleView:
             self._keep(raw.rows, (message.received_ns, row))
 
     def _is_due(self, key: tuple[str | int, ...], time_ns: int) -> bool:
-        """Return whether a period has passed since the last row kept under a key, or the time jumped back."""
+        """Return whether a period has passed since the last row kept for a key, or the time jumped back."""
         last_ns = self._last_ns.get(key)
         if last_ns is not None and 0 <= time_ns - last_ns < _PERIOD_NS:
             return False
@@ -189,7 +190,10 @@ def _trace(layout: Layout, estimates: Sequence[Estimates]) -> Trace:
 
 
 def _numeric_paths(fields: Mapping[str, Any]) -> Iterator[_Path]:
-    """Yield the paths of the numbers in decoded fields but clocks, looking at a bounded part of hostile ones."""
+    """Yield the paths of numbers in decoded fields, except clocks.
+
+    Only a bounded part of hostile fields is searched.
+    """
     waiting: deque[tuple[_Path, Any]] = deque([((), fields)])
     for _ in range(_WALK):
         if not waiting:

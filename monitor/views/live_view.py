@@ -36,21 +36,22 @@ ViewMode = Literal["serve", "spawn"]
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 9876
-"""Rerun's own default."""
+"""Rerun's own default port."""
 
 _PAGES_FILE = "/proc/{}/statm"
-# Seconds until a server that does not end, as one does not while a client stalls, is killed: the daemon's end waits.
+# Seconds until a server that does not end (one with a stalled client does not) is killed: the daemon's end waits.
 _STOP_S = 1.0
-# Waits for its standard input to end, as it does when the process at the other end is gone, for whatever reason.
+# Waits until standard input ends: it does when the process at the other end has ended, for whatever reason.
 _KILL_AT_EOF = 'read -r _; kill -9 "$1"'
-# Seconds to wait for a viewer that may have been closed, so that it leaves no zombie; an open one is left alone.
+# Seconds to wait for a viewer that may have been closed, so that no zombie remains; an open one is left alone.
 _LEAVE_S = 0.3
 
 
 class RerunProcess:
     """A Rerun server on a port of loopback, or a viewer on this machine's screen, fed with ``.rrd`` bytes.
 
-    ``memory_mb`` is that of the server, for viewers that connect later, or of the viewer; the oldest data are dropped.
+    ``memory_mb`` is the memory of the server, for viewers that connect later, or of the viewer; the oldest data are
+    dropped.
     """
 
     def __init__(self, mode: ViewMode, port: int, memory_mb: int) -> None:
@@ -60,7 +61,7 @@ class RerunProcess:
             options += ["--serve-grpc", f"--port={port}", f"--server-memory-limit={memory_mb}MB"]
         else:
             options += ["--new", "--hide-welcome-screen", f"--memory-limit={memory_mb}MB"]
-        # Rerun sends no usage statistics from continuous integration: a monitor does not phone home either.
+        # Rerun sends no usage statistics from continuous integration: a monitor must send none either.
         environment = os.environ | {"CI": "1", "RERUN_APP_ONLY": "true"}
         self._process = subprocess.Popen(  # noqa: S603 - the executable of our own dependency
             [rerun_binary(), "-", *options],
@@ -74,7 +75,7 @@ class RerunProcess:
         self._guard = self._guarded() if mode == "serve" else None
 
     def write(self, data: bytes) -> None:
-        """Write bytes, waiting for a process that is slow; raise OSError where the process is gone."""
+        """Write bytes, waiting for a slow process; raise OSError if the process has ended."""
         if self._process.stdin is None:
             raise BrokenPipeError
         rest = memoryview(data)
@@ -82,7 +83,7 @@ class RerunProcess:
             rest = rest[self._process.stdin.write(rest) or 0 :]
 
     def resident_mb(self) -> float:
-        """Return the process's resident memory; 0 where the system does not tell."""
+        """Return the process's resident memory; 0 if the system does not tell."""
         try:
             pages = int(Path(_PAGES_FILE.format(self._process.pid)).read_text().split()[1])
         except (OSError, IndexError, ValueError):
@@ -103,7 +104,7 @@ class RerunProcess:
                 self._guard.communicate()
 
     def _guarded(self) -> subprocess.Popen[bytes] | None:
-        """Start a process that ends the server when this one was killed and could not; None where there is none."""
+        """Start a process that ends the server if this process is killed; return None if it cannot be started."""
         with contextlib.suppress(OSError):
             return subprocess.Popen(  # noqa: S603 - a constant script
                 ["/bin/sh", "-c", _KILL_AT_EOF, "sh", str(self._process.pid)],
@@ -133,7 +134,7 @@ class RerunProcess:
 def rerun_binary() -> str:
     """Return the path of Rerun's executable; ``RERUN_CLI_PATH`` overrides, as in Rerun itself.
 
-    Raises UsageError where there is none.
+    Raises UsageError if there is none.
     """
     package = find_spec("rerun_cli")
     folders = package.submodule_search_locations if package is not None else None
@@ -144,7 +145,7 @@ def rerun_binary() -> str:
 
 
 def require_free(port: int) -> None:
-    """Raise UsageError where a process listens on a port of loopback, or it is no port."""
+    """Raise UsageError if another process listens on a port of loopback, or it is not a valid port."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -156,13 +157,13 @@ def require_free(port: int) -> None:
 
 
 PERIOD_S = 0.25
-"""Seconds between sends. Chosen: the eye takes a plot that moves four times a second for a running one."""
+"""Seconds between sends. Chosen: a plot that moves four times a second looks live."""
 DEFAULT_MEMORY_MB = 256
-"""What a viewer may hold of the past. Chosen: minutes of a vehicle, beside a daemon of 150 MB."""
+"""Memory for data that were shown, MB. Chosen: minutes of a vehicle, beside a daemon of 150 MB."""
 
-# Seconds until a server that failed is started again; chosen so that one that always fails costs little.
+# Seconds until a failed server is started again; chosen so that one that always fails costs little.
 _RESTART_S = 5.0
-# Seconds that serializing a batch may take, and that ending may take: the monitor waits for the latter only.
+# Seconds that serializing a batch may take, and that ending may take: the monitor waits only for the latter.
 _FLUSH_S = 1.0
 _CLOSE_S = 1.0
 # Memory of the server itself, MB, beside the data it keeps.
@@ -172,12 +173,13 @@ _OWN_MB = 128
 class LiveView:
     """Shows vehicles in one Rerun recording, a tab each, all alarms below.
 
-    It serves on a port of loopback to ``rerun rerun+http://127.0.0.1:PORT/proxy``, or opens a viewer, with so much
-    memory for data that were shown; the oldest are dropped. A server that dies, or that grows beyond its memory because
-    one of its viewers stalls, is started afresh; a viewer whose window was closed stays closed. Raises UsageError where
-    the port is taken, or Rerun's executable is missing.
+    It serves on a port of loopback to ``rerun rerun+http://127.0.0.1:PORT/proxy``, or opens a viewer. ``memory_mb`` is
+    the memory for data that were shown; the oldest are dropped. A server that ends, or that exceeds its memory because
+    one of its viewers stalls, is restarted; a viewer whose window was closed stays closed. Raises UsageError if the
+    port is in use, or Rerun's executable is missing.
 
-    ``batches`` counts those sent, ``failures`` how often the process went away, grew too large or could not be started.
+    ``batches`` counts the batches sent, ``failures`` how often the process ended, grew too large or could not be
+    started.
     """
 
     def __init__(
@@ -202,7 +204,7 @@ class LiveView:
     def vehicle(
         self, name: str, layouts: Sequence[Layout], thresholds: Thresholds, messages: Collection[str]
     ) -> VehicleView:
-        """Show one more vehicle; one of that name is replaced. Return what collects its data."""
+        """Show one more vehicle; one of that name is replaced. Return the buffer that collects its data."""
         view = VehicleView(name, layouts, thresholds, messages)
         with self._lock:
             self._vehicles = self._vehicles | {name: view}
@@ -214,7 +216,7 @@ class LiveView:
         return sum(view.dropped for view in self._vehicles.values())
 
     def close(self) -> None:
-        """Send the rest if that is quickly done, and end; a second call does nothing."""
+        """Send the rest if that takes little time, and end; a second call does nothing."""
         self._stop.set()
         self._thread.join(_CLOSE_S)
         process = self._process
@@ -227,7 +229,7 @@ class LiveView:
             try:
                 self._show()
             except Exception:
-                # whatever goes wrong with a picture, the monitor goes on
+                # a failed view must not end the monitor
                 self.failures += 1
                 if self._mode == "spawn":
                     return

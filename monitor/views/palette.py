@@ -21,16 +21,16 @@ GREY = "#8C8C8C"
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION, BLACK, YELLOW)
 SEVERITY: dict[Severity, str] = {"warning": ORANGE, "critical": VERMILION}
 ANY_GROUND = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION)
-"""The colours that are seen on white as on black, for viewers that choose their own ground."""
+"""The colours that are readable on white and on black, for viewers that choose their own background."""
 
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """The same colours for a light or a dark ground; the k-th colour of either means the same."""
+    """The same colours for a light and a dark background; the k-th colour has the same meaning in both."""
 
     paper: str  # the ground
     ink: str  # text and axes; measurements and commands, and dashed known true sizes
-    muted: str  # lines in the background, the band within a threshold
+    muted: str  # lines in the background, the band between the thresholds
     series: tuple[str, ...]  # series by number; the first is an estimate, the third a residual
     severity: Mapping[Severity, str]
 
@@ -56,7 +56,7 @@ DARK = Theme(
 
 
 def any_ground_colour(index: int) -> str:
-    """Return the colour of the ``index``-th series on a ground that is not known; they repeat after six."""
+    """Return the colour of the ``index``-th series on an unknown background; they repeat after six."""
     return ANY_GROUND[index % len(ANY_GROUND)]
 
 

@@ -1,4 +1,4 @@
-"""Fault channels of a run: which get a panel of their own, which share one, and the scales of their axes."""
+"""The panels of a run's fault channels: which channels get one of their own, which share one, and their axes."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ TrueSizes = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 
 class RunView(NamedTuple):
-    """A run as it is shown."""
+    """A run to be shown."""
 
     traces: Sequence[Trace]  # one per observer
     events: Sequence[AlarmEvent]
     thresholds: Thresholds  # of alarms, by observer and fault channel
     truth: TrueSizes = MappingProxyType({})  # by fault channel: times on the vehicle's clock (s), true size at them
-    # channels, by observer and name, whose evidence is not the estimate that the standard deviation belongs to
+    # channels, by observer and name, whose evidence is not the estimate that their standard deviation is about
     without_sd: Collection[tuple[str, str]] = ()
-    way: Way | None = None  # where it was, if that is known
+    way: Way | None = None  # the vehicle's way, if known
 
 
 def in_display_units(run: RunView) -> RunView:
-    """Return a run with the sizes of its faults as people say them: per cent, degrees.
+    """Return a run with the sizes of its faults in the units shown to people: per cent, degrees.
 
-    What a motor lost is at each sample a share of the command that it had then, as in the sentence of its alarm, its
-    threshold one of the usual command.
+    The loss of a motor is at each sample a share of its command then, as in the sentence of its alarm; its threshold is
+    a share of its usual command.
     """
     thresholds, truth, traces = dict(run.thresholds), dict(run.truth), []
     for trace in run.traces:
@@ -64,7 +64,7 @@ def in_display_units(run: RunView) -> RunView:
 
 
 def _smoothed(trace: Trace, u: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a signal smoothed as the estimates are (N,)."""
+    """Return a signal smoothed like the estimates (N,)."""
     from scipy.signal import lfilter
 
     rate_hz = 1e9 / float(np.median(np.diff(trace.vehicle_ns))) if len(u) > 1 else trace.layout.rate_hz
@@ -73,9 +73,9 @@ def _smoothed(trace: Trace, u: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 FEW = 6
-"""Channels in all up to which each gets a panel. Chosen: six panels still fit a page."""
+"""Number of channels up to which each gets a panel. Chosen: six panels still fit a page."""
 OUTLIERS_PERCENT = 0.02
-"""Share of values beyond an axis, percent, at either end. Chosen: of a minute at 100 Hz one sample, so that a single
+"""Share of values beyond an axis, percent, at either end. Chosen: one sample of a minute at 100 Hz, so that a single
 spike does not flatten a panel."""
 AXIS_MARGIN = 0.06
 """Share of an axis's range left free at either end, so that lines do not touch the frame; a matter of looks."""
@@ -85,8 +85,8 @@ AXIS_MARGIN = 0.06
 class Panels:
     """Panels of one observer's fault channels."""
 
-    alone: tuple[int, ...]  # places of the channels that get a panel each
-    # places of the quiet channels that share one panel, each in units of its own alarm threshold
+    alone: tuple[int, ...]  # indices of the channels that get a panel each
+    # indices of the quiet channels that share one panel, each in units of its own alarm threshold
     together: tuple[int, ...]
 
 
@@ -95,8 +95,9 @@ def choose_panels(
 ) -> tuple[Panels, ...]:
     """Return each observer's panels.
 
-    Up to :data:`FEW` channels in all get a panel each. Of more, only those do that had an alarm, whose truth is known,
-    or that have no threshold to be measured in. ``alarmed`` and ``thresholds`` are by observer and channel.
+    Up to :data:`FEW` channels in all get a panel each. If there are more, a channel gets one only if it had an alarm,
+    its true size is known, or it has no threshold to be measured in. ``alarmed`` and ``thresholds`` are by observer and
+    channel.
     """
     few = sum(len(layout.faults) for layout in layouts) <= FEW
     chosen = []
@@ -110,10 +111,10 @@ def choose_panels(
 
 
 def same_scale(layout: Layout, panels: Panels, place: int) -> tuple[int, ...]:
-    """Return the places of the channels that share a channel's vertical scale.
+    """Return the indices of the channels that share a channel's vertical scale.
 
-    Channels of one unit do where every channel has its own panel, to be compared. A channel that is shown by itself
-    because of its alarm has its own scale.
+    If every channel has its own panel, channels of one unit share a scale, so that they can be compared. A channel that
+    has a panel because of its alarm has its own scale.
     """
     if panels.together:
         return (place,)
@@ -123,7 +124,7 @@ def same_scale(layout: Layout, panels: Panels, place: int) -> tuple[int, ...]:
 def fault_limits(trace: Trace, places: Iterable[int], thresholds: Thresholds, truth: TrueSizes) -> tuple[float, float]:
     """Return the ends of a vertical axis that shows channels' estimates, thresholds and truth, around zero.
 
-    Estimates count only where alarms could be raised, and all but single outliers.
+    Only estimates from which alarms could be raised count, without single outliers.
     """
     ends = [0.0]
     for place in places:
@@ -136,7 +137,7 @@ def fault_limits(trace: Trace, places: Iterable[int], thresholds: Thresholds, tr
 
 
 def evidence(trace: Trace, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the finite values at samples that alarms could be raised from, else of all."""
+    """Return the finite values at samples from which alarms could be raised; if there are none, at all samples."""
     used = values[trace.armed] if trace.armed.any() else values
     return used[np.isfinite(used)]
 

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH_IN = 8.0
-"""Width in inches: a page of A4 (8.27) that is not cropped."""
+"""Width of a plot, inches: a page of A4 (8.27) that is not cropped."""
 DPI = 160
-"""Pixels per inch: 1280 pixels in width, what a laptop's screen shows without scaling."""
+"""Pixels per inch: 1280 pixels in width, which a laptop's screen shows without scaling."""
 STYLE: dict[str, Any] = {
     "font.size": 8,
-    # names come from outside: a dollar is a dollar
+    # names come from outside: a dollar sign must not begin an equation
     "text.parse_math": False,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -41,7 +41,7 @@ STYLE: dict[str, Any] = {
 
 @contextmanager
 def picture(path: str | os.PathLike[str], height_in: float) -> Iterator[Figure]:
-    """Yield an empty figure of this height, inches; it is written as a PNG when everything is drawn."""
+    """Yield an empty figure of this height, inches, and write it as a PNG after it was drawn."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -54,10 +54,10 @@ def picture(path: str | os.PathLike[str], height_in: float) -> Iterator[Figure]:
 
 
 def save_small(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure with a canvas of Agg as a PNG of 256 colours: a third of the size, no difference to the eye.
+    """Write a figure with a canvas of Agg as a PNG of 256 colours: a third of the size, no visible difference.
 
-    Median cut, without dithering: on a plot of 17,000 shades the mean error is 0.2 of 255, and areas and lines keep
-    their colours to the bit; shades at the edges of lines move.
+    Median cut, without dithering: on a plot of 17,000 shades the mean error is 0.2 of 255; areas and lines keep their
+    colours exactly, only shades at the edges of lines change.
     """
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""How a Rerun viewer opens: a tab per observer with faults, thresholds and residuals, above the alarms."""
+"""The layout of a Rerun viewer: a tab per observer with faults, thresholds and residuals, above the alarms."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from monitor.views.way import Way
 Limits = tuple[float, float]
 Root = tuple[str, ...]
 Stretch = tuple[int, int]
-"""From when to when, nanoseconds on the vehicle's clock."""
+"""Begin and end of a time range, nanoseconds on the vehicle's clock."""
 
 _TILE_PX = 256.0
-"""A tile of a map shows the world at zoom 0 (https://wiki.openstreetmap.org/wiki/Zoom_levels)."""
+"""Pixels of a map tile; one shows the world at zoom 0 (https://wiki.openstreetmap.org/wiki/Zoom_levels)."""
 _MAP_PX = 250.0
-"""Of the map for the way. Chosen: on a laptop's screen the view is some 400 wide and 300 high."""
+"""Assumed size of the map's view, pixels. Chosen: on a laptop's screen the view is some 400 wide and 300 high."""
 _MOST_ZOOM = 19.0
-"""As far as tiles of OpenStreetMap go."""
+"""Largest zoom: tiles of OpenStreetMap exist up to it."""
 _LEAST_M = 20.0
-"""Chosen: a hover drawn larger would show the receiver's noise as a way."""
+"""Least size of the way for the zoom, metres. Chosen: a hover drawn larger would show the receiver's noise as a way."""
 FAULTS_BELOW = 4
-"""Panels of faults one below the other; more get a second column. Chosen for a laptop's screen."""
+"""Panels of faults below each other; more get a second column. Chosen for a laptop's screen."""
 LEAST_SHARE = 3
-"""Height of the faults' views, of which all else has 2: they are what is looked at."""
+"""Height of the faults' views, relative to 2 for all others: people look at them most."""
 
 
 def blueprint(
@@ -49,8 +49,8 @@ def blueprint(
     """Return the layout of the viewer: tabs, beside them the ``way`` if there is one, above states and texts of alarms.
 
     ``roots`` are the beginnings of each vehicle's entity paths. The viewer follows the newest Unix time, or shows the
-    vehicle's time; ``active`` says which tab is open, ``stretch`` what of the
-    vehicle's time is shown first.
+    vehicle's time; ``active`` is the number of the open tab, ``stretch`` the part of the vehicle's time that is shown
+    first.
     """
     alarms = rrb.Horizontal(
         rrb.StateTimelineView(
@@ -74,7 +74,7 @@ def blueprint(
         else rrb.TimePanel(
             timeline="vehicle_time",
             state="collapsed",
-            # the viewer's blueprint has no cursor (rerun-sdk 0.41): it is at the begin of the recording
+            # the viewer's blueprint has no cursor (rerun-sdk 0.41): the viewer opens at the begin of the recording
             play_state=None if stretch is None else "paused",
             time_selection=None if stretch is None else AbsoluteTimeRange(*stretch),
             loop_mode=None if stretch is None else "selection",
@@ -109,9 +109,9 @@ def observer_tab(
 ) -> rrb.Vertical:
     """Return an observer's views, one below the other.
 
-    ``limits`` are the ends of the vertical axis by place of the channel, others scale by themselves; ``quiet_limits``
+    ``limits`` are the ends of the vertical axis by index of the channel, others scale by themselves; ``quiet_limits``
     those of the channels that share a view, in units of their thresholds. ``root`` is the beginning of the entity
-    paths, ``stretch`` what of the vehicle's time is shown first.
+    paths, ``stretch`` the part of the vehicle's time that is shown first.
     """
     base = f"/{entity_path(*root, layout.observer)}"
 
@@ -125,7 +125,7 @@ def observer_tab(
         )
 
     def each(name: str, part: str, columns: Sequence[str]) -> rrb.Grid:
-        """Return a view for each series of an entity: their units differ."""
+        """Return a view for each series of an entity, as their units differ."""
         path = f"{base}/{part}"
         views = [
             rrb.TimeSeriesView(
@@ -168,7 +168,7 @@ def raw_tab(messages: Iterable[str], root: Root = ()) -> rrb.Grid:
 
 
 def _axis(stretch: Stretch | None = None) -> rrb.TimeAxis:
-    """Return an axis of time that all views share, or one that shows a stretch of it first: no shared one can."""
+    """Return an axis of time that all views share, or one that first shows a range, which a shared axis cannot."""
     if stretch is None:
         return rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
     return rrb.TimeAxis(view_range=TimeRange(*(TimeRangeBoundary.absolute(nanos=end_ns) for end_ns in stretch)))

@@ -22,7 +22,7 @@ SPAN_WIDTH = 6.0
 """Width of a threshold's line while its alarm is active, in points; other lines have 1."""
 
 _BODY = [[3.0, 0.0, 0.0], [0.0, 1.5, 0.0], [0.0, 0.0, -1.5]]
-"""Arrows ahead, to the right and up, metres. Chosen: they are seen beside a flight of some tens of metres."""
+"""Lengths of the arrows ahead, to the right and up, metres. Chosen: visible beside a flight of some tens of metres."""
 _AXES = (VERMILION, GREEN, BLUE)
 
 _LEVELS = {"warning": rr.TextLogLevel.WARN, "critical": rr.TextLogLevel.CRITICAL}
@@ -36,7 +36,7 @@ def entity_path(*parts: str) -> str:
 
 
 class RerunScene:
-    """Sends a run to a Rerun recording; the looks of an entity are sent once, before its first values.
+    """Sends a run to a Rerun recording; the style of an entity is sent once, before its first values.
 
     Time lines are ``vehicle_time`` (seconds of the vehicle's clock) and ``unix_time``. Entities per observer, all below
     ``root``: ``<observer>/fault``, ``/residual``, ``/state``, ``/input`` and ``/output`` with one series per channel,
@@ -75,7 +75,7 @@ class RerunScene:
         self._quiet(trace, panels.together, thresholds)
 
     def truth(self, trace: Trace, truth: TrueSizes) -> None:
-        """Send the true sizes of faults, where they are known."""
+        """Send the true sizes of faults, if known."""
         for name in trace.layout.faults:
             if name not in truth or not len(trace.vehicle_ns):
                 continue
@@ -87,7 +87,7 @@ class RerunScene:
             self._scalars(path, _times(vehicle_ns, vehicle_ns + offset), np.asarray(values, dtype=np.float64))
 
     def spans(self, trace: Trace, spans: Sequence[AlarmSpan], thresholds: Thresholds) -> None:
-        """Send when the alarms of an observer were active, as thick spans of the lines of their thresholds."""
+        """Send the times at which the alarms of an observer were active, as thick parts of their thresholds' lines."""
         layout = trace.layout
         for name in layout.faults:
             own = [span for span in spans if (span.observer, span.channel) == (layout.observer, name)]
@@ -149,7 +149,7 @@ class RerunScene:
         self._send(vehicle, _of_vehicle(base, way.attitude_ns), poses)
 
     def _quiet(self, trace: Trace, places: Sequence[int], thresholds: Thresholds) -> None:
-        """Send the channels that share a view, each in units of its own threshold, and the band they should stay in."""
+        """Send the channels that share a view, each in units of its threshold, with the band between thresholds."""
         if not places:
             return
         layout = trace.layout
@@ -190,7 +190,7 @@ class RerunScene:
         return entity_path(*self._root, *entity)
 
     def _describe(self, entity: tuple[str, ...], style: rr.AsComponents) -> str:
-        """Send the looks of an entity unless they were sent; return its path."""
+        """Send the style of an entity unless it was sent; return its path."""
         path = self._path(entity)
         if path not in self._described:
             self._recording.log(path, style, static=True)
@@ -221,14 +221,14 @@ def _span_lines(
 
 
 def _state(event: AlarmEvent) -> str:
-    """Return the name of the state an alarm is in after an event; an empty one ends the one before."""
+    """Return the name of an alarm's state after an event; an empty name ends the previous state."""
     if event.state == "cleared":
         return ""
     return "shelved" if event.shelved_until_ns is not None else event.severity
 
 
 def _of_vehicle(trace: Trace, unix_ns: NDArray[np.int64]) -> list[rr.TimeColumn]:
-    """Return times of arrival with the vehicle's own times, as the samples of a trace have both."""
+    """Return times of arrival with the vehicle's times, interpolated between the samples of a trace."""
     first = int(trace.unix_ns[0])
     offsets = np.interp(unix_ns - first, trace.unix_ns - first, trace.vehicle_ns - trace.unix_ns)
     return _times(unix_ns + offsets.round().astype(np.int64), unix_ns)

@@ -14,14 +14,15 @@ from monitor.views.rerun_blueprint import Limits, Stretch, blueprint, observer_t
 from monitor.views.rerun_scene import APPLICATION, RerunScene
 
 FLUSH_TIMEOUT_S = 30.0
-"""Seconds until a disk that does not take the recording is an error. Chosen: far more than a disk that works needs."""
+"""Seconds after which a disk that does not accept the recording is an error. Chosen: far more than a healthy disk
+needs."""
 QUIET_LIMITS = (-1.3, 1.3)
-"""Axis of the quiet channels in units of their thresholds: the band with some room around it."""
+"""Axis of the quiet channels in units of their thresholds: the band between the thresholds with some margin."""
 
 AROUND_NS = 10_000_000_000
-"""Time that is marked before and behind the first alarm. Chosen: what led to it is seen beside it."""
+"""Time that is marked before and after the first alarm. Chosen: the cause is seen beside it."""
 LONGEST_NS = 60_000_000_000
-"""How much of a long alarm is marked. Chosen: more would flatten its beginning."""
+"""Largest marked duration of a long alarm. Chosen: more would flatten its beginning."""
 
 
 def write_rrd(path: str | os.PathLike[str], run: RunView) -> None:
@@ -65,14 +66,14 @@ def write_rrd(path: str | os.PathLike[str], run: RunView) -> None:
             scene.way(way, traces)
         recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
     except RuntimeError as error:
-        # Rerun's own kind of error for a full disk
+        # the error that Rerun raises for a full disk
         raise OSError(errno.EIO, str(error), os.fspath(path)) from error
     finally:
         recording.disconnect()
 
 
 def _first(traces: Sequence[Trace], spans: Sequence[AlarmSpan]) -> Stretch | None:
-    """Return the stretch of time around the first alarm; None where there is none."""
+    """Return the time range around the first alarm, or None if there is none."""
     if not spans or not traces:
         return None
     span, last_ns = spans[0], max(int(trace.vehicle_ns[-1]) for trace in traces)

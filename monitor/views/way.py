@@ -1,4 +1,4 @@
-"""Where a vehicle was and how it was turned, as its log says: what a map and a scene in three dimensions show."""
+"""A vehicle's positions and attitudes in a log, to be shown on a map and in a scene of three dimensions."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from monitor.recording.foxglove_records import EARTH_M, PULLED, places
 from monitor.trace import Trace
 
 WAY_MESSAGES = ("GPS_RAW_INT", "ATTITUDE")
-"""What is read of a recording for it, beside places that have a latitude."""
+"""The messages that are read for a way, beside positions with a latitude."""
 _TURNS = ("roll", "pitch", "yaw")
-# columns of north, east, down in east, north, up
+# from north, east, down to east, north, up
 _ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
@@ -24,17 +24,17 @@ class Way:
     """A vehicle's way, with Unix times of arrival."""
 
     unix_ns: NDArray[np.int64]  # (N,)
-    places: NDArray[np.float64]  # latitude and longitude, degrees, altitude, metres, as GPS says (N, 3)
+    places: NDArray[np.float64]  # latitude and longitude, degrees, altitude, metres, as measured by GPS (N, 3)
     attitude_ns: NDArray[np.int64]  # (M,)
     attitude: NDArray[np.float64]  # roll, pitch, yaw (M, 3)
 
     def metres(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return places (N, 3) as metres east, north and up of the first."""
+        """Return positions (N, 3) as metres east, north and up of the first."""
         north, east = np.deg2rad(places[:, :2] - self.places[0, :2]).T * EARTH_M
         return np.column_stack((east * np.cos(np.deg2rad(self.places[0, 0])), north, places[:, 2] - self.places[0, 2]))
 
     def real(self, traces: Iterable[Trace]) -> NDArray[np.float64]:
-        """Return the places less what the estimates attribute to a fault of GPS, where they are evidence (N, 3)."""
+        """Return the positions (N, 3) less the estimated fault of GPS, at samples that are evidence."""
         real = self.places.copy()
         for trace in traces:
             if not set(PULLED) <= set(trace.layout.faults) or not len(trace.unix_ns):
@@ -48,7 +48,7 @@ class Way:
         return real
 
     def rotations(self) -> NDArray[np.float64]:
-        """Return where ahead, right and down point in east, north, up (M, 3, 3)."""
+        """Return the directions ahead, right and down in east, north, up (M, 3, 3)."""
         from scipy.spatial.transform import Rotation
 
         turned = Rotation.from_euler("ZYX", self.attitude[:, ::-1]).as_matrix()
@@ -56,7 +56,7 @@ class Way:
 
 
 def way_of(batches: Iterable[Batch]) -> Way | None:
-    """Return the way in a recording, of the sender that says where it is most; None where none does."""
+    """Return the way in a recording, of the sender with the most positions, or None if no sender has one."""
     fixes: dict[int, list[tuple[int, float, float, float]]] = {}
     turns: dict[int, list[NDArray[np.float64]]] = {}
     times: dict[int, list[NDArray[np.int64]]] = {}
