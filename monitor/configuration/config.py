@@ -25,7 +25,7 @@ _Read = Callable[[Table, str], Any]
 
 
 class Entry(NamedTuple):
-    """What is known of a key besides its type and default: how it is read, and what the reference page says."""
+    """A key besides its type and default: the function that reads it, and its description on the reference page."""
 
     read: _Read
     description: str = ""
@@ -35,7 +35,7 @@ class Entry(NamedTuple):
 
 
 def _key(default: Any, read: _Read, description: str, example: Any = None, *choices: str) -> Any:
-    """Return a key's field; the default itself is the example where none is given."""
+    """Return a key's field; the default itself is the example if none is given."""
     shown = default if example is None else example
     return field(default=default, metadata={"entry": Entry(read, description, shown, choices)})
 
@@ -69,7 +69,10 @@ def _truth(table: Table, key: str) -> bool:
 
 
 def _path(table: Table, key: str) -> Path:
-    """Read a text as a path relative to the file; a path came from elsewhere and stays as it is."""
+    """Read a text as a path relative to the file.
+
+    A :class:`pathlib.Path` did not come from the file and stays as it is.
+    """
     value = table.raw(key)
     if isinstance(value, Path):
         return value
@@ -82,7 +85,7 @@ def _listen(table: Table, key: str) -> str | None:
 
 
 def _table_of(names: Callable[[str], None], read: _Read) -> _Read:
-    """Return how a table is read whose keys the user chooses."""
+    """Return the reader of a table whose keys the user chooses."""
 
     def read_all(table: Table, key: str) -> dict[str, Any]:
         values = {}
@@ -106,7 +109,7 @@ _POSITIVE = _number(above=0)
 
 @dataclass(frozen=True)
 class Vehicle:
-    """One vehicle: whose telemetry it is, and by which profile it is monitored."""
+    """One vehicle: the telemetry that is its own, and the profile by which it is monitored."""
 
     name: str | None = _key(
         None, _text(check.vehicle_name), "Name in topics; the profile's own where it is left out.", "copter-1"
@@ -146,7 +149,7 @@ class NewVehicles:
 
 @dataclass(frozen=True)
 class RecordingTable:
-    """MCAP files one after the other, the oldest deleted where they become too many."""
+    """MCAP files one after the other; if there are too many, the oldest are deleted."""
 
     folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "recordings/")
     file_mb: float = _key(256, _POSITIVE, "Size at which the next file begins, megabytes.")
@@ -156,7 +159,7 @@ class RecordingTable:
 
 @dataclass(frozen=True)
 class BlackBoxTable:
-    """An MCAP file of its own for each alarm, with what came before and after it."""
+    """An MCAP file for each alarm, with the telemetry before and after it."""
 
     folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "clips/")
     before_s: float = _key(30, _number(at_least=0, at_most=600), "Begin of a clip before the alarm, seconds.")
@@ -193,7 +196,7 @@ class Signing:
 
 @dataclass(frozen=True)
 class Send:
-    """What the daemon sends to vehicles; nothing unless it is allowed."""
+    """Packets that the daemon may send to vehicles; none by default."""
 
     allow: bool = _key(False, _truth, "Whether anything is sent to a vehicle.", True)
     rates: Mapping[str, float] = _by_name(
@@ -208,7 +211,7 @@ class Send:
 
 @dataclass(frozen=True)
 class Commands:
-    """What operators may do over Zenoh (`fauio alarms ack` and the like)."""
+    """Commands that operators may give over Zenoh (`fauio alarms ack` and the like)."""
 
     allow: tuple[AllowedCommand, ...] = _key(
         (),
@@ -230,7 +233,7 @@ class Flood:
 
 @dataclass(frozen=True)
 class Standby:
-    """A second daemon that takes over where the first one goes."""
+    """A second daemon that takes over if the first one fails."""
 
     enabled: bool = _key(False, _truth, "Whether this daemon waits while another one is there.", True)
     takeover_s: float = _key(
@@ -324,7 +327,7 @@ class Rerun:
 
 
 def _section(kind: type) -> Any:
-    """Return the field of a table ``[key]``, all of whose keys may be left out."""
+    """Return the field of a table ``[key]``, all of whose keys are optional."""
     entry = Entry(lambda table, key: read_keys(kind, table.table(key)), table=kind)
     return field(default=kind(), metadata={"entry": entry})
 
@@ -338,7 +341,7 @@ def _vehicles(table: Table, key: str) -> tuple[Vehicle, ...]:
 
 @dataclass(frozen=True)
 class Config:
-    """What `fauio run` does. Every key may be left out."""
+    """The configuration of `fauio run`. Every key is optional."""
 
     profile: Path | None = _key(
         None, _path, "Profile folder of vehicles that name none; `fauio run PROFILE` sets it.", "quad/"
@@ -428,7 +431,7 @@ class Config:
 
     @property
     def vehicles(self) -> tuple[Vehicle, ...]:
-        """Vehicles known at start, each with its profile: one where a profile is all that is given."""
+        """Vehicles known at start, each with its profile; a single one if only a profile is given."""
         if not self.vehicle and self.profile is not None:
             return (Vehicle(profile=self.profile),)
         return tuple(
@@ -446,7 +449,7 @@ def entries(kind: type) -> dict[str, tuple[Any, Entry]]:
 
 
 def read_keys(kind: type[T], table: Table) -> T:
-    """Read a table into its class; mistakes are recorded in the table's file, and defaults stand in."""
+    """Read a table into its class; mistakes are recorded in the table's file, and defaults replace wrong values."""
     known = entries(kind)
     table.examples = {key: entry.example for key, (_, entry) in known.items() if entry.example is not None}
     values = {}
@@ -461,7 +464,7 @@ def read_keys(kind: type[T], table: Table) -> T:
 
 @cache
 def _homes() -> dict[str, tuple[str, ...]]:
-    """Return the tables that have a key, by key; an empty text is the top level."""
+    """Return the tables that contain a key, by key; an empty text is the top level."""
     homes: dict[str, tuple[str, ...]] = {}
     for name, (_, entry) in entries(Config).items():
         for key in entries(entry.table) if entry.table is not None else ():
@@ -486,7 +489,7 @@ def read_config(path: str | Path | None, given: Mapping[str, Any] | None = None,
     file = read_toml(path, ConfigError, overrides=given, mend=mend)
     config = read_keys(Config, file.root)
     contradictions = (link_conflicts if links_only else conflicts)(config)
-    # a contradiction to a value that is wrong itself follows from that mistake; all are judged before any is recorded
+    # a contradiction to a wrong value follows from that mistake; all are checked before any is recorded
     for conflict in [
         conflict
         for conflict in contradictions

@@ -1,4 +1,4 @@
-"""What contradicts itself in a configuration whose values are right one by one."""
+"""Contradictions within a configuration whose single values are valid."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Conflict(NamedTuple):
-    """A contradiction: the key it is reported at, what is wrong, and the other keys it follows from."""
+    """A contradiction: the key at which it is reported, the message, and the other keys that it follows from."""
 
     path: KeyPath
     what: str
@@ -82,7 +82,7 @@ def _vehicles(config: Config) -> Iterator[Conflict]:
 
 
 def _same_system(first: Vehicle, second: Vehicle) -> bool:
-    """Return whether two vehicles want the same MAVLink packets; one with Zenoh of its own and no id wants none."""
+    """Return whether two vehicles claim the same MAVLink packets; one with its own Zenoh keys and no id claims none."""
     if first.system != second.system or (first.system == 0 and (first.zenoh or second.zenoh)):
         return False
     return first.component == second.component or 0 in (first.component, second.component)
@@ -121,14 +121,14 @@ def _listeners(config: Config) -> Iterator[Conflict]:
 
 
 def _addresses(config: Config) -> list[tuple[KeyPath, str]]:
-    """Return what may be listened on, by the key that names it."""
+    """Return the addresses that may be listened on, by the key that names them."""
     places: list[tuple[KeyPath, str]] = [(("mavlink", k), url) for k, url in enumerate(config.mavlink)]
     places += [(("listen", k), endpoint) for k, endpoint in enumerate(config.listen)]
     return places if config.metrics.listen is None else [*places, (("metrics", "listen"), config.metrics.listen)]
 
 
 def _ports(config: Config) -> Iterator[Conflict]:
-    """Yield who wants to listen where another listens already."""
+    """Yield a conflict for each key with an address on which another key listens already."""
     kinds = {"udp": "udp", "udpin": "udp", "tcpin": "tcp"}
     places = []
     for path, address in _addresses(config):
@@ -138,7 +138,7 @@ def _ports(config: Config) -> Iterator[Conflict]:
         elif path[0] == "listen" or kind in kinds:
             places.append((path, address, kinds.get(kind, kind), place))
     for first, second in combinations(places, 2):
-        # port 0 is whichever is free
+        # port 0 is any free port
         if first[2:] == second[2:] and not first[3].endswith(":0"):
             what = f"is '{second[1]}', where '{first[1]}' listens already; give each a port of its own"
             yield Conflict(second[0], what, (first[0],))
@@ -166,7 +166,7 @@ def _sending(config: Config) -> Iterator[Conflict]:
 
 
 def _ground_station(config: Config) -> Iterator[Conflict]:
-    """Yield whose telemetry our own packets would be, once a router passes them on."""
+    """Yield vehicles for whose telemetry our own packets would be taken, once a router forwards them."""
     if config.ground_station.url is None:
         return
     for k, vehicle in enumerate(config.vehicles):
@@ -252,7 +252,7 @@ def _channels(config: Config) -> Iterator[Conflict]:
 
 
 def _channels_of(folder: Path) -> list[str]:
-    """Return everything that can be an alarm with a profile; nothing where it cannot be read, which the start says."""
+    """Return all channels that can have an alarm with a profile; none if it cannot be read, which the start reports."""
     from monitor.alarms.desk import FLOOD_KEY
     from monitor.pipeline import Pipeline
     from monitor.profile import read_profile

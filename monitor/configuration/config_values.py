@@ -1,4 +1,4 @@
-"""Checks of single values of the daemon's configuration: each raises a ValueError that says what is wrong."""
+"""Checks of single values of the daemon's configuration: each raises a ValueError with a message for the user."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def is_loopback(host: str) -> bool:
 
 
 def listens_beyond_loopback(address: str) -> bool:
-    """Return whether an endpoint, MAVLink URL or HOST:PORT listens where other machines reach it.
+    """Return whether an endpoint, MAVLink URL or HOST:PORT listens on an address that other machines reach.
 
-    MAVLink links that connect and serial ones listen nowhere.
+    MAVLink links that connect and serial ones do not listen.
     """
     kind, slash, rest = address.partition("/")
     if slash and _ENDPOINT.fullmatch(address):
@@ -41,13 +41,13 @@ def listens_beyond_loopback(address: str) -> bool:
 
 
 def endpoint(value: str) -> None:
-    """Refuse what is no Zenoh endpoint."""
+    """Refuse a text that is no Zenoh endpoint."""
     if not _ENDPOINT.fullmatch(value):
         raise ValueError(f"is '{value}', which is no Zenoh endpoint; write it like tcp/127.0.0.1:7447")
 
 
 def mavlink_url(value: str) -> None:
-    """Refuse what is no URL of a MAVLink link."""
+    """Refuse a text that is no URL of a MAVLink link."""
     kind, _, rest = value.partition(":")
     if kind == "serial" and rest:
         return
@@ -57,7 +57,7 @@ def mavlink_url(value: str) -> None:
 
 
 def udp_target(value: str) -> None:
-    """Refuse what is no address that packets can be sent to."""
+    """Refuse a text that is no address that packets can be sent to."""
     kind, _, rest = value.partition(":")
     if kind != "udpout":
         raise ValueError(f"is '{value}'; write it like udpout:127.0.0.1:14551")
@@ -65,7 +65,7 @@ def udp_target(value: str) -> None:
 
 
 def host_port_or_off(value: str) -> None:
-    """Refuse what is neither HOST:PORT nor ``off``."""
+    """Refuse a text that is neither HOST:PORT nor ``off``."""
     if value != "off":
         _check_host_port(value, value, 'write "127.0.0.1:9464", or "off"')
 
@@ -77,7 +77,7 @@ def _check_host_port(value: str, rest: str, mend: str) -> None:
 
 
 def key_expression(value: str) -> None:
-    """Refuse what is no Zenoh key expression."""
+    """Refuse a text that is no Zenoh key expression."""
     import zenoh
 
     try:
@@ -89,7 +89,7 @@ def key_expression(value: str) -> None:
 
 
 def key_chunks(value: str) -> None:
-    """Refuse what cannot be part of a Zenoh key."""
+    """Refuse a text that cannot be part of a Zenoh key."""
     try:
         vehicle_root(value, "*")
     except ValueError:
@@ -97,27 +97,27 @@ def key_chunks(value: str) -> None:
 
 
 def vehicle_name(value: str) -> None:
-    """Refuse what cannot be the name of a vehicle in topics."""
+    """Refuse a text that cannot be the name of a vehicle in topics."""
     if value == "*" or "/" in value:
         raise ValueError(f"is '{value}', which is no name of a vehicle; use letters, digits, - and _")
     key_chunks(value)
 
 
 def vehicle_template(value: str) -> None:
-    """Refuse a name without a place for the system id."""
+    """Refuse a name without a placeholder for the system id."""
     if "{system}" not in value:
         raise ValueError(f"is '{value}', which is the same for all vehicles; put {{system}} where the id belongs")
     vehicle_name(value.replace("{system}", "1"))
 
 
 def channel(value: str) -> None:
-    """Refuse what is no OBSERVER/CHANNEL."""
+    """Refuse a text that is no OBSERVER/CHANNEL."""
     if not _CHANNEL.fullmatch(value):
         raise ValueError(f"is '{value}', which is no channel; write OBSERVER/CHANNEL, like motors/motor1")
 
 
 def message_type(value: str) -> None:
-    """Refuse what is neither ``json`` nor a type of ROS 2."""
+    """Refuse a text that is neither ``json`` nor a type of ROS 2."""
     if not _MESSAGE_TYPE.fullmatch(value):
         raise ValueError(f"is '{value}', which is no type; write json or one like sensor_msgs/msg/Imu")
 
@@ -130,7 +130,7 @@ def _message_names() -> frozenset[str]:
 
 
 def message_name(value: str) -> None:
-    """Refuse what is no MAVLink message."""
+    """Refuse a text that is no MAVLink message."""
     if value not in _message_names():
         near = get_close_matches(value.upper(), _message_names(), 1)
         mend = f"did you mean {near[0]}?" if near else "write its name in capitals, like ATTITUDE"
@@ -138,12 +138,12 @@ def message_name(value: str) -> None:
 
 
 def argument(value: str) -> None:
-    """Refuse what cannot be an argument of a program."""
+    """Refuse a text that cannot be an argument of a program."""
     if not value or "\0" in value:
         raise ValueError("is no argument; write the program and each of its arguments as a text of its own")
 
 
 def path(value: str) -> None:
-    """Refuse what can be no path."""
+    """Refuse a text that cannot be a path."""
     if not value or "\0" in value:
         raise ValueError("is no path; leave the key out for none")
