@@ -1,1 +1,1 @@
-"""`fauio doctor` and `fauio --version`: what is installed and what would get in a monitor's way."""
+"""`fauio doctor` and `fauio --version`: the installed versions, and obstacles to a monitor on this machine."""

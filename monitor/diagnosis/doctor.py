@@ -1,4 +1,4 @@
-"""``fauio doctor``: whether a monitor will run on this machine, check by check, and what to do where it will not."""
+"""``fauio doctor``: checks whether a monitor will run on this machine, and tells what to do if not."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class DoctorCheck:
     """The result of one check of the machine."""
 
     name: str
-    # ``failed``: the monitor will not run, or not here; ``warning``: it will, with less than it could have
+    # ``failed``: the monitor will not run, or not here; ``warning``: it will run, but not with everything
     verdict: DoctorVerdict
     found: str  # the result, for people
-    advice: str = ""  # what to do about it; empty where nothing is to be done
+    advice: str = ""  # what to do about it; empty if nothing has to be done
 
 
 def add_doctor(subparsers: Any) -> None:
@@ -65,7 +65,7 @@ def run_doctor(args: argparse.Namespace) -> int:
 
 
 def diagnose(config: Config, folders: Sequence[Path]) -> list[DoctorCheck]:
-    """Check what a monitor of this configuration needs, and folders to write to, which need not exist yet."""
+    """Check all that a monitor of this configuration needs, and folders to write to, which need not exist yet."""
     from monitor.diagnosis import doctor_machine as machine
     from monitor.diagnosis import doctor_network as network
 
@@ -86,7 +86,7 @@ def diagnose(config: Config, folders: Sequence[Path]) -> list[DoctorCheck]:
 
 
 def version_checks() -> list[DoctorCheck]:
-    """Check that libraries are there and new enough, and say which extras are."""
+    """Check that libraries are installed and new enough, and list the installed extras."""
     from monitor.diagnosis.versions import libraries
 
     known = libraries()
@@ -129,7 +129,7 @@ def worst(checks: Sequence[DoctorCheck]) -> DoctorVerdict:
 
 
 def checks_text(checks: Sequence[DoctorCheck]) -> str:
-    """Return what was found for people: a line for each check, and one more where something is to be done."""
+    """Return the results for people: a line for each check, and another if something has to be done."""
     width = max((len(check.name) for check in checks), default=0)
     lines = []
     for check in checks:
@@ -142,17 +142,17 @@ def checks_text(checks: Sequence[DoctorCheck]) -> str:
 
 
 def _needs(args: argparse.Namespace) -> tuple[Config, Sequence[Path]]:
-    """Return what a monitor is to do, and the folders that it writes to."""
+    """Return the configuration of a monitor, and the folders that it writes to."""
     from monitor.configuration.config import Config, read_config
 
     given = {"profile": args.profile, "listen": args.listen, "mavlink": args.mavlink}
     given = {name: value for name, value in given.items() if value is not None}
     if args.config is None:
         return Config(**{"mavlink": ("udpin:127.0.0.1:14550",)} | given), args.folder or (Path(),)
-    # as 'fauio run' does with what its command line gives
+    # as 'fauio run' does with the values of its command line
     config = read_config(args.config, given)
     if args.listen:
-        # an endpoint that was asked for is checked as it stands
+        # an endpoint given on the command line is checked as it stands
         config = replace(config, zenoh_config=None)
     places = [config.recording.folder, config.black_box.folder]
     places += [path.parent for path in (config.record, config.journal.path) if path is not None]

@@ -16,17 +16,20 @@ from adapters.mavlink.byte_link import UDP_BUFFER_BYTES
 from monitor.diagnosis.doctor import DoctorCheck, DoctorVerdict
 
 _LITTLE_BYTES = 2_000_000_000
-"""Five hours of a vehicle's recording at 400 MB an hour (docs/operations.md)."""
+"""Free bytes below which a warning is given: five hours of a vehicle's recording at 400 MB an hour
+(docs/operations.md)."""
 _TOO_LITTLE_BYTES = 100_000_000
-"""A quarter of an hour of it: a flight may end without a recording."""
+"""Free bytes below which the check fails: a quarter of an hour of recording, so a flight may end without one."""
 _RECEIVE_LIMIT = Path("/proc/sys/net/core/rmem_max")
 _SYNCHRONISED = Path("/run/systemd/timesync/synchronized")
 _SERIAL_PATTERNS = ("ttyUSB*", "ttyACM*", "ttyAMA*")
 _COMPARE_S = 0.05
-"""Chosen: long enough that a clock which is being set shows beside the milliseconds of the scheduler."""
+"""Seconds for which clocks are compared. Chosen: long enough that the setting of a clock exceeds the milliseconds of
+the scheduler."""
 _LARGEST_DRIFT = 0.05
-"""Of the time compared. NTP slews by .05 % at most; what is a hundred times as fast is being set."""
-# A clock that was never set shows the year 1970, or the one in which its system was built.
+"""Largest drift of the clock, as a share of the time compared. NTP slews by .05 % at most; a clock that is a hundred
+times as fast is being set."""
+# A clock that was never set shows the year 1970, or the year in which its system was built.
 _EARLIEST_S = 1_735_689_600
 # adjtimex(2): modes, offset, freq, maxerror, esterror, status, and more
 _TIMEX = struct.Struct("@I4li")
@@ -36,7 +39,7 @@ _TIME_ERROR = 5
 
 
 def folder_check(folder: Path) -> DoctorCheck:
-    """Check that files can be made in a folder, or that it can be made itself."""
+    """Check that files can be made in a folder, or that the folder itself can be made."""
     name = "folder"
     place = _existing(folder)
     advice = f"sudo chown $USER {place}, or name another folder"
@@ -66,7 +69,7 @@ def disk_check(folder: Path) -> DoctorCheck:
 
 
 def serial_checks(urls: Sequence[str], devices: Path = Path("/dev")) -> list[DoctorCheck]:
-    """Check that serial devices can be read: those of links, else all that look like an autopilot's."""
+    """Check that serial devices can be read: those of links; without any, all that look like an autopilot's."""
     name = "serial device"
     wanted = [Path(url.split(":")[1]) for url in urls]
     ports = wanted or sorted(path for pattern in _SERIAL_PATTERNS for path in devices.glob(pattern))
@@ -102,7 +105,7 @@ def buffer_check(limit: Path = _RECEIVE_LIMIT) -> DoctorCheck:
 
 
 def clock_checks() -> list[DoctorCheck]:
-    """Check that the clock is set, runs evenly, and is kept right by NTP where that can be told."""
+    """Check that the clock is set, runs evenly, and is synchronised by NTP, if the system tells."""
     name = "clock"
     walls = time.time()
     started_wall, started = time.time_ns(), time.monotonic_ns()
@@ -135,7 +138,7 @@ def _synchronised_check() -> DoctorCheck:
 
 
 def _kernel_clock() -> tuple[bool, int] | None:
-    """Return whether the kernel's clock is kept right, and its largest error in microseconds; None: it does not say."""
+    """Return whether the kernel's clock is synchronised, and its largest error in microseconds; None if unknown."""
     if sys.platform != "linux":
         return None
     timex = ctypes.create_string_buffer(_TIMEX_BYTES)
@@ -150,7 +153,7 @@ def _kernel_clock() -> tuple[bool, int] | None:
 
 
 def _existing(folder: Path) -> Path:
-    """Return a folder, or the nearest above it that is there."""
+    """Return a folder, or its nearest parent that exists."""
     place = folder
     while not place.exists() and place != place.parent:
         place = place.parent

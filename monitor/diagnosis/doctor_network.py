@@ -1,4 +1,4 @@
-"""Checks of ``fauio doctor`` about the network: ports that are free or who answers there, a round trip over Zenoh."""
+"""Checks of ``fauio doctor`` about the network: free ports, monitors that answer there, a round trip over Zenoh."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     import zenoh
 
 _ROUNDS = 20
-"""Chosen: enough for a median; on loopback they take milliseconds."""
+"""Samples of the round trip. Chosen: enough for a median; on loopback they take milliseconds."""
 _PATIENCE_S = 5.0
-"""Chosen: loopback that needs longer does not work."""
+"""Seconds to wait for the round trip. Chosen: loopback that needs longer does not work."""
 _SLOW_S = 0.02
-"""Half of the 40 ms from packet to alarm that are promised."""
+"""Seconds from which a round trip is slow: half of the 40 ms from packet to alarm that are promised."""
 _ANSWER_S = 1.5
-"""Chosen: for all monitors of a network to answer."""
+"""Seconds to wait for replies. Chosen: enough for all monitors of a network."""
 _OPEN_MS = 1000
-"""Chosen: a peer that is there answers within milliseconds."""
+"""Milliseconds to wait for a peer. Chosen: one that is there answers within milliseconds."""
 
 
 def zenoh_port_check(endpoint: str) -> DoctorCheck:
-    """Check that a Zenoh endpoint can be listened on, or who does already."""
+    """Check that a Zenoh endpoint can be listened on, or find the monitors that do already."""
     name = "zenoh port"
     try:
         with open_session(listen=[endpoint]):
@@ -55,7 +55,7 @@ def zenoh_port_check(endpoint: str) -> DoctorCheck:
 
 
 def zenoh_file_check(config_file: Path, connect: Sequence[str], listen: Sequence[str], mode: Mode) -> DoctorCheck:
-    """Check that a session opens as a Zenoh configuration says: certificates are there, endpoints free."""
+    """Check that a session opens with a Zenoh configuration: certificates exist, endpoints are free."""
     name = "zenoh port"
     try:
         places = ", ".join(endpoints("listen", listen, config_file, mode)) or "no listener"
@@ -88,7 +88,7 @@ def metrics_check(address: str) -> DoctorCheck:
     try:
         family, place = resolve(f"metrics {address}", address)
         with socket.socket(family) as probe:
-            # as a server does: what a former one left behind is no obstacle
+            # as a server does: connections left by a former server are no obstacle
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(place)
     except TelemetryError as error:
@@ -146,8 +146,8 @@ def _round_trips(ours: zenoh.Session, theirs: zenoh.Session) -> tuple[list[float
 
 
 def _who_answers(endpoint: str) -> tuple[bool, list[str]]:
-    """Return whether Zenoh answers at an endpoint, and the vehicles of monitors that are reached through it."""
-    # what listens there and is no Zenoh never answers, and closing waits for it
+    """Return whether Zenoh answers at an endpoint, and the vehicles of the monitors reached through it."""
+    # a program that listens there but is not Zenoh never answers, and closing waits for it
     config = {"connect": {"endpoints": [endpoint]}, "transport": {"unicast": {"open_timeout": _OPEN_MS}}}
     try:
         with NamedTemporaryFile("w", suffix=".json5") as file:

@@ -1,4 +1,4 @@
-"""Which versions of Python, of this program and of its libraries are installed, and what is missing."""
+"""The installed versions of Python, of this program and of its libraries, and missing libraries."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Library:
     """A library that this program uses."""
 
     name: str  # its distribution
-    extra: str  # extra that it belongs to; empty where it is always needed
-    least: str  # least version that will do; empty where any does
-    installed: str | None  # version that is installed; None where none is
+    extra: str  # extra that it belongs to; empty if it is always needed
+    least: str  # least version that is accepted; empty if any is
+    installed: str | None  # installed version; None if not installed
 
     @property
     def will_do(self) -> bool:
@@ -29,7 +29,7 @@ class Library:
 
 
 def libraries() -> Sequence[Library]:
-    """Return all libraries, as the installed package itself names them, those of extras behind."""
+    """Return all libraries that the metadata of the installed package name, those of extras last."""
     installed = []
     for text in requires("fauio") or ():
         match = _REQUIREMENT.match(text)
@@ -40,7 +40,7 @@ def libraries() -> Sequence[Library]:
 
 
 def installed_version(name: str) -> str | None:
-    """Return the version of a distribution; None where it is not installed."""
+    """Return the version of a distribution, or None if it is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:
