@@ -1,1 +1,1 @@
-"""Alarms to people: messages, programs of theirs, the ground station."""
+"""Alarms to people: messages, their own programs, the ground station."""

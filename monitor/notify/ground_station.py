@@ -1,6 +1,6 @@
-"""Alarms on the operator's ground station: texts of an onboard computer, over MAVLink, where the configuration says so.
+"""Alarms on the operator's ground station: texts of an onboard computer over MAVLink, if the configuration allows it.
 
-Nothing is commanded: a heartbeat and the computer's status once a second, and a STATUSTEXT for each notice.
+No command is sent: a heartbeat and the computer's status once a second, and a STATUSTEXT for each notice.
 """
 
 from __future__ import annotations
@@ -19,21 +19,22 @@ from adapters.mavlink.signing import SigningKey
 from monitor.notify.notices import Notice
 
 _MOST_TEXTS = 3
-"""Texts that go at once. Chosen: a ground station reads each aloud; of more it shows how many there are."""
+"""Largest number of texts sent at once. Chosen: a ground station reads each aloud; of more notices it shows the
+number."""
 
 
 @dataclass(frozen=True, slots=True)
 class Beat:
-    """What a vehicle's heartbeat says."""
+    """The content of a vehicle's heartbeat."""
 
     system: int  # MAVLink system id; 0: not known yet, nothing is sent
     critical: bool  # whether one of its alarms is critical
 
 
 class GroundSender:
-    """Sends to ``udpout:HOST:PORT``; never waits, and what the network does not take is lost.
+    """Sends to ``udpout:HOST:PORT`` without waiting; packets that the network does not accept are lost.
 
-    Raises UsageError where the address cannot be resolved.
+    Raises UsageError if the address cannot be resolved.
     """
 
     name = "ground-station"
@@ -66,7 +67,7 @@ class GroundSender:
                     )
 
     def send(self, notices: Sequence[Notice]) -> None:
-        """Send notices as texts of their vehicles; of many, each vehicle's first ones and how many more there are."""
+        """Send notices as texts of their vehicles; of many, each vehicle's first ones and the number of the others."""
         vehicles: dict[str, list[Notice]] = {}
         for notice in sorted(notices, key=lambda notice: _severity(notice) != CRITICAL):
             vehicles.setdefault(notice.event.vehicle, []).append(notice)
@@ -88,7 +89,7 @@ class GroundSender:
             self._send(packet)
 
     def _send(self, packet: bytes) -> None:
-        # nobody listens, or the network is away: the next packet may get through
+        # nobody listens, or the network is down: the next packet may get through
         with contextlib.suppress(OSError):
             self._socket.sendto(packet, self._to)
 

@@ -1,7 +1,7 @@
-"""Delivers notices off the main thread: a queue and a thread for each outlet, limited, retried, never waited for.
+"""Delivers notices off the main thread: each outlet has a queue and a thread, limits its rate and retries.
 
-While an outlet may not send yet, because it has just sent some or could not, what comes meanwhile waits, and goes as
-one summary: a fleet's flood of alarms is a few messages.
+While an outlet pauses after messages or after a failure, new notices wait and are sent as one summary: a fleet's flood
+of alarms makes a few messages.
 """
 
 from __future__ import annotations
@@ -17,21 +17,24 @@ from monitor.notify.notices import OCCASIONS, Notice, Notices, Occasion
 from monitor.notify.outlets import DeliveryError, Outlet
 
 MAX_WAITING = 200
-"""Notices that wait for an outlet; then the oldest go, counted. Chosen: more than a summary can say."""
+"""Largest number of notices that wait for an outlet; beyond it the oldest are dropped and counted. Chosen: more than a
+summary can list."""
 BURST = 3
-"""Messages that go at once before the limit counts. Chosen: an alarm, its consequence, and that they cleared."""
+"""Messages sent at once before the limit of the rate applies. Chosen: an alarm, its consequence, and that they
+cleared."""
 GATHER_S = 0.5
-"""Chosen: what comes of one cause comes within it, and makes one message; nobody notices the delay."""
+"""Seconds for which notices are gathered. Chosen: the consequences of one cause follow within it and make one message;
+nobody notices the delay."""
 FIRST_RETRY_S, LAST_RETRY_S = 1.0, 300.0
-"""Pauses between tries double from the first to the last. Chosen: a service that is away for an hour is asked often
+"""Seconds between tries, doubled from the first to the last. Chosen: a service that is down for an hour is tried often
 enough, and not all the time."""
 _CLOSE_S = 3.0
-"""Chosen: a message under way at the end gets so long; systemd waits 90 s."""
+"""Seconds that a message in progress may take at the end. Chosen: systemd waits 90 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutletHealth:
-    """What became of an outlet's messages."""
+    """Counts of an outlet's messages."""
 
     name: str
     sent: int = 0  # messages
@@ -41,10 +44,10 @@ class OutletHealth:
 
 
 class Messenger:
-    """Tells people of alarm events until closed; :meth:`event` never waits.
+    """Notifies people of alarm events until closed; :meth:`event` never waits.
 
     ``per_minute`` is the largest rate of messages of each outlet; ``on_failure`` is called with an outlet's name and
-    the reason, in its thread, when a message fails and when the next one goes through (reason None).
+    the reason, in its thread, when a message fails and when the next one succeeds (reason None).
     """
 
     def __init__(
@@ -58,7 +61,7 @@ class Messenger:
         self._workers = [_Worker(outlet, 60.0 / per_minute, on_failure) for outlet in outlets]
 
     def event(self, event: AlarmEvent) -> None:
-        """Take an alarm event."""
+        """Process an alarm event."""
         if (notice := self._notices.take(event)) is not None:
             for worker in self._workers:
                 worker.put(notice)
@@ -68,7 +71,7 @@ class Messenger:
         return tuple(worker.health() for worker in self._workers)
 
     def close(self) -> None:
-        """Send what waits, once, and end."""
+        """Send the waiting notices, with one try, and end."""
         for worker in self._workers:
             worker.close()
         until = time.monotonic() + _CLOSE_S
@@ -107,7 +110,7 @@ class _Worker:
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
-        # the time of the next message if all had come evenly: ahead of it by a burst at most
+        # the time of the next message if all had come evenly: at most a burst ahead of now
         even_s, retry_s, due_s = time.monotonic(), FIRST_RETRY_S, 0.0
         while (notices := self._take(max(due_s, even_s - (BURST - 1) * self._period_s))) is not None:
             failure = self._send(notices)
@@ -121,7 +124,7 @@ class _Worker:
                 due_s, retry_s = now_s + retry_s, min(2 * retry_s, LAST_RETRY_S)
 
     def _take(self, due_s: float) -> list[Notice] | None:
-        """Wait for notices and for the time; return them, None at the end."""
+        """Wait for notices and for the time to send; return them, or None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._closing)
             until_s = max(due_s, time.monotonic() + GATHER_S)
@@ -132,7 +135,7 @@ class _Worker:
         return notices or None
 
     def _send(self, notices: list[Notice]) -> str | None:
-        """Send notices; keep them where that fails, and return why."""
+        """Send notices; if that fails, keep them and return the reason."""
         try:
             self._outlet.send(notices)
         except DeliveryError as error:

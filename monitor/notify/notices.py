@@ -1,4 +1,4 @@
-"""Which alarm events are worth telling a person who watches nothing, once each, and in which words."""
+"""Notices to people who watch no screen: the alarm events that deserve one, once each, and their words."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ Occasion = Literal["raised", "critical", "cleared", "blind"]
 OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
 
 _MAX_ALARMS = 10_000
-"""Alarms that are remembered. Chosen: more than are active at once, in memory that ends."""
+"""Largest number of remembered alarms. Chosen: more than are active at once, in bounded memory."""
 _MOST_LINES = 10
-"""Of a summary. Chosen: what a telephone shows."""
+"""Lines of a summary. Chosen: those that a telephone shows."""
 
 
 class Notice(NamedTuple):
-    """Something to tell."""
+    """A notice to a person."""
 
     occasion: Occasion
     event: AlarmEvent
 
     @property
     def title(self) -> str:
-        """What happened where, in a few words."""
+        """The event and its vehicle, in a few words."""
         event = self.event
         words = {"blind": "flies and is not watched", "cleared": f"{event.channel} cleared"}
         what = words.get(self.occasion, f"{event.channel} {event.severity}")
@@ -41,14 +41,14 @@ class Notice(NamedTuple):
 
 
 class Notices:
-    """Makes notices of events, of the occasions that are wanted; each alarm is told of once per occasion."""
+    """Makes notices of events, for the configured occasions; an alarm makes one notice per occasion."""
 
     def __init__(self, occasions: Collection[Occasion] = OCCASIONS) -> None:
         self._wanted = frozenset(occasions)
         self._known: dict[str, set[Occasion]] = {}
 
     def take(self, event: AlarmEvent) -> Notice | None:
-        """Return what there is to tell about an event, None where there is nothing new."""
+        """Return the notice of an event, or None if there is nothing new."""
         if event.state == "cleared":
             known = self._known.pop(event.id, set())
             return Notice("cleared", event) if known and "cleared" in self._wanted else None
@@ -68,19 +68,19 @@ class Notices:
         if occasion in known or (occasion == "raised" and known) or occasion not in self._wanted:
             return None
         known.add(occasion)
-        # known before this monitor was: whoever was told then is not told again
+        # the alarm is older than this monitor: the people notified then are not notified again
         return None if event.message.endswith(AS_BEFORE) else Notice(occasion, event)
 
 
 def summary(notices: Sequence[Notice]) -> tuple[str, str]:
-    """Return title and body of one message for several notices; of one its own."""
+    """Return title and body of one message for several notices; a single notice keeps its own."""
     if len(notices) == 1:
         return notices[0].title, notices[0].body
     vehicles = sorted({notice.event.vehicle for notice in notices})
     where = vehicles[0] if len(vehicles) == 1 else f"{len(vehicles)} vehicles"
     critical = sum(notice.occasion in ("critical", "blind") for notice in notices)
     urgent = f", {critical} critical" if critical else ""
-    # what is critical first, in the order in which it happened
+    # critical alarms first, in the order in which they happened
     ordered = sorted(notices, key=lambda notice: notice.occasion not in ("critical", "blind"))
     lines = [f"{notice.title}: {notice.event.message}" for notice in ordered[:_MOST_LINES]]
     if len(ordered) > _MOST_LINES:

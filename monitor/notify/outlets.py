@@ -1,4 +1,4 @@
-"""Where notices go: services that Apprise knows, and programs of the user's own."""
+"""Outlets of notices: services that Apprise supports, and the user's own programs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from monitor.bus.payload import to_json
 from monitor.notify.notices import Notice, summary
 
 _MAX_FILE_BYTES = 65_536
-"""Chosen: far more than so many URLs take."""
+"""Largest size of a file of URLs, bytes. Chosen: far more than so many URLs take."""
 _MAX_SERVICES = 20
-"""Chosen: each has a thread of its own."""
+"""Largest number of services. Chosen: each has a thread of its own."""
 _MAX_ERROR = 200
-"""Letters of what a program said before it failed. Chosen: a line of a log."""
+"""Letters of a failed program's output that are kept. Chosen: a line of a log."""
 
 
 class DeliveryError(Exception):
@@ -34,16 +34,16 @@ class Outlet(Protocol):
     name: str
 
     def send(self, notices: Sequence[Notice]) -> None:
-        """Deliver notices, several as one message; raise DeliveryError where that failed."""
+        """Deliver notices, several as one message; raise DeliveryError if that fails."""
 
 
 class AppriseOutlet:
-    """One service, by its Apprise URL; the URL is a secret and in no message."""
+    """One service, by its Apprise URL; the URL is a secret and appears in no message."""
 
     def __init__(self, url: str, index: int) -> None:
         import apprise
 
-        # it logs the text of what it sends, and URLs
+        # Apprise logs the text of messages, and URLs
         logging.getLogger("apprise").setLevel(logging.CRITICAL)
         with warnings.catch_warnings():
             # of modules that its hundred plug-ins import
@@ -71,7 +71,7 @@ class AppriseOutlet:
 
 
 class ExecOutlet:
-    """A program that is started without a shell, with a JSON object per event on its standard input, a line each."""
+    """A program, started without a shell, that gets a JSON object per event on its standard input, one on each line."""
 
     name = "exec"
 
@@ -82,7 +82,7 @@ class ExecOutlet:
     def send(self, notices: Sequence[Notice]) -> None:
         """Run the program once for all notices."""
         lines = b"".join(to_json({"occasion": notice.occasion, **notice.event.to_json()}) + b"\n" for notice in notices)
-        # systemd would take what the program says of itself for the daemon's own
+        # systemd would mistake the program's notifications for the daemon's own
         environment = {key: value for key, value in os.environ.items() if key not in ("NOTIFY_SOCKET", "WATCHDOG_USEC")}
         try:
             process = subprocess.Popen(  # noqa: S603 - the program that the configuration names
@@ -99,7 +99,7 @@ class ExecOutlet:
             try:
                 _, said = process.communicate(lines, timeout=self._timeout_s)
             except subprocess.TimeoutExpired:
-                # and whatever it has started
+                # and the processes that it has started
                 os.killpg(process.pid, signal.SIGKILL)
                 raise DeliveryError(f"{self._command[0]} took longer than {self._timeout_s:g} s") from None
         if process.returncode:
@@ -108,10 +108,10 @@ class ExecOutlet:
 
 
 def make_outlets(urls_file: Path | None, command: Sequence[str], timeout_s: float) -> list[Outlet]:
-    """Return the outlets of a configuration.
+    """Return the outlets of a configuration. ``urls_file`` holds one Apprise URL on each line.
 
-    ``urls_file`` holds an Apprise URL a line. Raises UsageError where Apprise is not installed, or the file cannot be
-    read, may be read by others, or names no service.
+    Raises UsageError if Apprise is not installed, or the file cannot be read, may be read by others, or names no
+    service.
     """
     outlets: list[Outlet] = []
     if urls_file is not None:
@@ -131,7 +131,7 @@ def make_outlets(urls_file: Path | None, command: Sequence[str], timeout_s: floa
 
 
 def _read_urls(path: Path) -> list[tuple[int, str]]:
-    """Return URLs with the numbers of their lines; blank lines and comments (#) are none."""
+    """Return URLs with their line numbers, without blank lines and comments (#)."""
     try:
         with path.open("rb") as file:
             mode = os.fstat(file.fileno()).st_mode
