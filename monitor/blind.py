@@ -98,6 +98,8 @@ class EvidenceFlow:
         # A message that long away is why: over a radio the longest step of one was 2.5 s (LIMIT_NS).
         self.missing_ns = self.limit_ns // 2
         self.settle_ns = round(chain.settle_s * 1e9)
+        # Before its first sample each message has to come twice, and the next one to show that none is late.
+        self.first_ns = self.limit_ns + max(self.settle_ns, round(_LEAST_SAMPLES * 1e9 / layout.rate_hz))
         self._inputs = len(layout.inputs)
         self._rows_ns = 0
         self._overdue: list[bool] = [False]
@@ -115,7 +117,7 @@ class EvidenceFlow:
         if not self.messages[name]:
             for group in self.groups:
                 if not group.evidence_ns:
-                    group.since_ns, group.granted_ns = first_ns, self.limit_ns + self.settle_ns
+                    group.since_ns, group.granted_ns = first_ns, self.first_ns
         self.messages[name] = last_ns
 
     def follow(self, run: ChainRun, received: Callable[[int], int]) -> None:

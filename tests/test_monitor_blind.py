@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from adapters.logs.recordings import packed, read_recording
 from adapters.message import Message, silence
-from monitor.blind import LIMIT_NS
+from monitor.blind import LIMIT_NS, EvidenceFlow
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, handover_message
 from monitor.profile import Profile
@@ -155,3 +157,18 @@ def test_a_replay_says_how_long_what_was_not_watched(quad_profile: Profile, flig
     assert "no GPS for 5 s" in why
     assert 10.0 < seconds < 16.0
     assert play(quad_profile, flight).unwatched(flight[-1].received_ns) == []
+
+
+@pytest.mark.parametrize(("rate_hz", "granted_s"), [(0.5, 12.0), (100.0, 6.0)])
+def test_an_observer_so_slow_that_it_has_no_sample_yet_is_waited_for(rate_hz: float, granted_s: float) -> None:
+    channel = SimpleNamespace(name="vibration", message="VIBRATION")
+    chain: Any = SimpleNamespace(
+        layout=SimpleNamespace(observer="vibration", outputs=("vibration",), inputs=(), rate_hz=rate_hz),
+        sampler=SimpleNamespace(interests={"VIBRATION"}),
+        source=SimpleNamespace(channels=[channel]),
+        settle_s=1.0,
+    )
+    flow = EvidenceFlow(chain)
+    flow.receive("VIBRATION", 2**60, 2**60)
+    assert flow.awaits(2**60 + round(1e9 * granted_s) - 1)
+    assert not flow.awaits(2**60 + round(1e9 * granted_s))
