@@ -90,6 +90,14 @@ def test_commands_of_px4_need_no_functions() -> None:
     assert found == pytest.approx([0.4, 0.5, -1.0, 1.0])
 
 
+def test_outputs_that_never_move_do_not_make_a_log_of_px4_one_of_commands() -> None:
+    moved, unused = MotorOutput(1500.0, 1500.0, 1200, 1800, 0.0, True), MotorOutput(900.0, 0.0, 900, 900, 0.0, False)
+    outputs = dict.fromkeys((1, 2, 3, 4), moved) | dict.fromkeys(range(5, 17), unused)
+    parameters = PX4 | outputs_of("PWM_MAIN_FUNC", FOUR)
+    survey = replace(FULL, parameters=parameters, px4=True, onboard=True, outputs=outputs)
+    assert {channel.name: channel.path[0] for channel in plane_signals([survey]).channels}["throttle"] == "servo4_raw"
+
+
 def test_outputs_of_an_ardupilot_plane_are_what_its_parameters_say() -> None:
     functions = {"SERVO1_FUNCTION": 70.0, "SERVO2_FUNCTION": 4.0, "SERVO5_FUNCTION": 19.0, "SERVO6_FUNCTION": 21.0}
     assert plane_outputs(functions, px4=False) == named(2, 5, 1, 6)

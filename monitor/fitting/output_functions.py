@@ -65,7 +65,9 @@ def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) 
     """
     completed = [_completed(survey) for survey in surveys]
     survey = next((found for found in completed if found.px4 and "CA_AIRFRAME" in found.parameters), completed[0])
-    commanded = survey.px4 and survey.onboard and any(number >= _COMMANDED for number in survey.outputs)
+    # of outputs themselves a log has those that nothing uses, too, at the pulse of what is disarmed
+    moved = [number for number, output in survey.outputs.items() if output.low < output.high]
+    commanded = survey.px4 and survey.onboard and any(number >= _COMMANDED for number in moved)
     functions = _functions(survey, actuators, commanded)
     wanted = [_wanted(survey, actuator) for actuator in actuators]
     numbers = [_output(functions, codes) for codes in wanted]
