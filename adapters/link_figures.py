@@ -1,10 +1,10 @@
 """What a link does to telemetry: delay, jitter and lost share, from sequence numbers, stamps and times of arrival.
 
-Arrival minus stamp is the offset of two clocks plus a delay. Of each kind of message the least of the last one to two
-minutes counts as no delay: what is left is how long messages are held up beyond the quickest of their kind. Jitter is
-the mean change of that from one message to the next, the difference D of RFC 3550, section 6.4.1, without its
-smoothing. Where packets are numbered their gaps are what was lost; elsewhere steps of stamps that are two or more of
-their kind's usual ones are.
+Arrival minus stamp is the offset of two clocks plus a delay. For each kind of message, the smallest value of the one to
+two minutes before a message counts as no delay: the delay is how much later a message comes than the quickest of its
+kind. Jitter is the mean change of the delay from one message to the next, the difference D of RFC 3550, section 6.4.1,
+without its smoothing. If packets are numbered, gaps in the numbers are losses; otherwise steps of the stamps of at
+least twice the usual step are.
 """
 
 from __future__ import annotations
@@ -76,12 +76,16 @@ class _Stream:
         known = bool(self._steps.size or self._stamp_ns)
         transit = received - stamps
         minute = int(received[-1]) // _MINUTE_NS
+        # Only messages before it: if a simulation's clock runs fast, each message comes quicker than the last.
+        quickest = np.minimum.accumulate(transit)
+        if self._least_ns:
+            quickest = np.minimum(quickest, min(least_ns for _, least_ns in self._least_ns))
+        delays = transit - quickest
         least = int(transit.min())
         if self._least_ns and self._least_ns[-1][0] == minute:
             self._least_ns[-1] = minute, min(least, self._least_ns[-1][1])
         else:
             self._least_ns.append((minute, least))
-        delays = transit - min(least_ns for _, least_ns in self._least_ns)
         before = np.concatenate([[self._transit_ns], transit]) if known else transit
         changes = np.abs(before[1:] - before[:-1])
         ordered = np.unique(np.concatenate([[self._stamp_ns], stamps]) if known else stamps)

@@ -87,3 +87,8 @@ def test_a_reboot_repeated_and_unstamped_messages_are_no_loss() -> None:
     assert figures(columns(stamps, np.zeros(len(stamps)))).lost_share == 0.0
     heartbeat = pack([Message(MAVLINK, "HEARTBEAT", UNIX_NS, {"type": 2}, 1, 1)])
     assert figures(heartbeat) == (None, None, None)
+
+
+def test_a_clock_that_runs_at_double_speed_is_no_delay() -> None:
+    stamps = np.arange(1_000, 21_000, 10)
+    assert figures(columns(stamps, -0.5 * stamps)).delay_s == pytest.approx(0.0, abs=1e-6)
