@@ -22,7 +22,7 @@ from adapters.sample import Given, Samples
 from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
-from monitor.core.alarms import EXPLAINED, RAISED, UPDATED, ChainRows, Weighing, nats_asked, walk
+from monitor.core.alarms import CLEARED, EXPLAINED, RAISED, ChainRows, Weighing, nats_asked, walk
 from monitor.core.effectiveness import EffectivenessEstimator
 from monitor.core.observers import CommandScale, SinceMeasured, shares_in_command
 from monitor.core.sampling import VehicleClock
@@ -207,12 +207,12 @@ class ChainRun:
         command = relative = sd = None
         if alarm < len(self.faults):
             fault = self.faults[alarm]
-            # The estimate still grows when it raises an alarm, and has no fault left when it clears it.
+            # The estimate that clears an alarm has no fault to tell of.
+            sd = None if code == CLEARED else self.estimates.sd[:, fault]
             if (effect := self.effects.get(fault)) is not None:
                 relative = effect.share
             else:
                 command = self.commands.get(fault)
-                sd = self.estimates.sd[:, fault] if code == UPDATED else None
         if code == RAISED and self.alarms[alarm].state.sudden:
             sd = self.sudden_sd
         return self.alarms[alarm].event(
@@ -269,6 +269,7 @@ class ObserverChain:
         self._excitation = None
         if profile.excitation is not None:
             self._excitation = ExcitationStage(profile.excitation, gains.outputs, len(gains.inputs), gains.rate_hz)
+        self._scales = np.array([channel.input is not None for channel in profile.faults])
         self._actuators = {channel.name for channel in profile.faults if channel.input is not None}
         self._excuses = excuses or Excuses(())
         # faults first, then the alarm of what no fault explains: the order in which a row is processed
@@ -417,9 +418,15 @@ class ObserverChain:
                 index = self.layout.faults.index(name)
                 sd[:, index] = np.hypot(sd[:, index], deviation)
         effects = self._effectiveness.run(samples, found.fault, armed)
+        sizes = found.evidence.copy() if effects else found.evidence
+        for index, effect in effects.items():
+            sizes[:, index] = effect.size
+            with np.errstate(divide="ignore", invalid="ignore"):
+                sd[:, index] = np.where(effect.size == 0.0, sd[:, index], np.abs(effect.size) / effect.score)
+        healthy_sd, sd = sd, self._uncertainty.of_sizes(sd, sizes, found.level)
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
         for index, effect in effects.items():
-            shown.isolated[:, index] = effect.size
+            shown.isolated[:, index], shown.sd[:, index] = effect.size, sd[:, index]
         estimates = Estimates(
             observer=self.layout.observer,
             samples=samples,
@@ -431,7 +438,7 @@ class ObserverChain:
             sd=shown.sd,
             coasted_s=self._since_measured.run(samples.vehicle_time_ns, samples.measured, samples.restart),
         )
-        return self._with_evidence(estimates, position, found, effects, shown.commands, given)
+        return self._with_evidence(estimates, position, found, effects, shown.commands, given, healthy_sd)
 
     def _larger(self, given: Given) -> NDArray[np.float64] | None:
         """Return how many times larger each fault's size is for being unlike the fitted flights (n, a)."""
@@ -451,6 +458,7 @@ class ObserverChain:
         effects: Mapping[int, EffectivenessRun],
         commands: Mapping[int, NDArray[np.float64]],
         given: Given,
+        healthy_sd: NDArray[np.float64],
     ) -> ChainRun:
         samples, beyond = given.samples, given.beyond
         excitation = None if self._excitation is None else self._excitation.run(samples, found.level)
@@ -477,6 +485,9 @@ class ObserverChain:
                 changes = self._effectiveness.of_change(changes, samples, effects)
             else:
                 changes = self._command.of_change(changes, commands)
+                # A position that wanders in health has some of that in any jump; an input's fault is a share instead.
+                wander = np.where(self._scales[changes.named], 0.0, healthy_sd[np.arange(len(samples)), changes.named])
+                changes = changes._replace(sd=np.hypot(changes.sd, wander))
         if changes is not None:
             changes = known_together(changes, position)
         if changes is not None and beyond is not None:
@@ -490,7 +501,8 @@ class ObserverChain:
             evidence,
             speaking,
             alarm_scale,
-            *(() if changes is None else self._named(changes)),
+            **({} if changes is None else self._named(changes)),
+            sd=estimates.sd[:, self._faults],
         )
         return ChainRun(
             estimates,
@@ -506,9 +518,16 @@ class ObserverChain:
             given.unflown,
         )
 
-    def _named(self, run: ChangeRun) -> tuple[NDArray[Any], ...]:
-        """Return the alarm whose sudden change each row names, with its nats, size, growth and onset."""
-        return self._alarm_of[run.named], run.nats, run.size, run.growth, run.onset_ns
+    def _named(self, run: ChangeRun) -> dict[str, Any]:
+        """Return the alarm whose sudden change each row names, with its nats, size, growth, onset and sd."""
+        return {
+            "changed": self._alarm_of[run.named],
+            "nats": run.nats,
+            "size": run.size,
+            "growth": run.growth,
+            "onset_ns": run.onset_ns,
+            "change_sd": run.sd,
+        }
 
 
 def _layout(profile: ObserverProfile) -> Layout:

@@ -127,8 +127,13 @@ def test_replay_writes_alarms_that_a_program_can_read(quad_folder: Path, tmp_pat
     assert events[0]["state"] == "raised"
     assert events[0]["channel"] == "motor3"
     assert events[0]["relative"] == pytest.approx(-0.10, abs=0.05)  # told by the first samples
-    assert {event["state"] for event in events[1:]} <= {"updated"}
-    assert events[-1]["relative"] == pytest.approx(-0.10, abs=0.03)
+    assert events[1]["state"] == "updated"
+    assert events[1]["vehicle_time_ms"] - events[0]["vehicle_time_ms"] < 1100
+    assert {event["state"] for event in events[2:]} <= {"updated"}
+    for event in events:
+        command = event["estimate"] / event["relative"]
+        assert event["estimate"] == pytest.approx(-0.10 * command, abs=2.0 * event["sd"])
+    assert all(event["relative"] == pytest.approx(-0.10, abs=0.01) for event in events[1:])
 
 
 def test_a_converted_log_replays_to_the_same_events(

@@ -349,9 +349,17 @@ def test_events_do_not_depend_on_where_batches_end(
 
 
 def sudden(
-    alarm: Alarm, rows: list[tuple[float, float, float]], onset: int = 0, start: int = 0, growth: float = 0.0
+    alarm: Alarm,
+    rows: list[tuple[float, float, float]],
+    onset: int = 0,
+    start: int = 0,
+    growth: float = 0.0,
+    sd: tuple[float, float] = (np.nan, np.nan),
 ) -> list[AlarmEvent]:
-    """Return the events of rows of evidence, nats and size of a change that began at sample ``onset``."""
+    """Return the events of rows of evidence, nats and size of a change that began at sample ``onset``.
+
+    ``sd`` is that of the change's size and that of the evidence.
+    """
     evidence, nats, size = np.array(rows).T
     count = len(evidence)
     times_ns = (start + np.arange(count)) * STEP_NS
@@ -364,13 +372,35 @@ def sudden(
     found = [alarm.state], np.arange(count), times_ns, ~always, evidence[:, None], always[:, None]
     events: list[AlarmEvent] = []
     walk(
-        [ChainRows(*found, None, changed, nats, size, np.full(count, growth), onset_ns)],
+        [
+            ChainRows(
+                *found,
+                None,
+                changed,
+                nats,
+                size,
+                np.full(count, growth),
+                onset_ns,
+                np.full(count, sd[0]),
+                np.full((count, 1), sd[1]),
+            )
+        ],
         lambda _observer, row, _alarm, code: events.append(alarm.event(code, samples, row, 0.5)),
     )
     return events
 
 
 SUDDEN = replace(RULE, nats=100.0, least=0.008)
+
+
+@pytest.mark.parametrize(("sd", "updates"), [(0.004, [1000]), (0.006, [])])
+def test_a_first_size_is_corrected_a_second_later_where_it_is_known_twice_as_well(
+    sd: float, updates: list[int]
+) -> None:
+    events = sudden(new_alarm(SUDDEN), [(0.0, 100.0, -0.05), *[(-0.046, 0.0, 0.0)] * 400], sd=(0.01, sd))
+    assert [event.state for event in events] == ["raised", *["updated"] * len(updates)]
+    assert [event.vehicle_time_ms for event in events[1:]] == updates
+    assert all((event.estimate, event.peak) == (-0.046, -0.046) for event in events[1:])
 
 
 def test_a_sudden_change_that_is_certain_raises_at_once() -> None:

@@ -45,7 +45,7 @@ def watched(excuses: Excuses, channel: str) -> AlarmState:
 def test_an_active_alarm_clears_although_another_explains_its_evidence() -> None:
     excuses, codes = Excuses((RULE,)), list[int]()
     north = watched(excuses, "gps_velocity_north")
-    north.resume(9.0, 9.0, 1.0, 0, False, False, False)
+    north.resume(9.0, 9.0, 1.0, np.nan, 0, False, False, False)
     excuses.follow(event("gyro_x", "raised", 1.0))
     times_ns, always = np.arange(2, 5) * 1_000_000_000, np.ones((3, 1), np.bool_)
     rows = ChainRows([north], np.arange(3), times_ns, np.zeros(3, np.bool_), np.zeros((3, 1)), always)

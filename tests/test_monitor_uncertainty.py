@@ -12,7 +12,7 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.affine import AffineObserver
-from monitor.estimation.uncertainty import Uncertainty
+from monitor.estimation.uncertainty import LAG_S, SHARE, Uncertainty
 
 NAMES = ("motor", "sensor")
 RUNS = 250
@@ -78,3 +78,20 @@ def test_cuts_do_not_change_a_bit(
     restart[restarts] = True
     whole, cut = uncertainty(gains).run(measured, restart), uncertainty(gains)
     assert np.concatenate([cut.run(measured[part], restart[part]) for part in parts]).tobytes() == whole.tobytes()
+
+
+@given(parts=cuts(60))
+def test_cuts_do_not_change_a_bit_of_what_sizes_add(gains: Gains, parts: list[slice]) -> None:
+    sizes, sd, level = np.random.default_rng(2).normal(size=(60, 2)), np.full((60, 2), 0.1), np.full(60, 1.5)
+    whole, cut = uncertainty(gains).of_sizes(sd, sizes, level), uncertainty(gains)
+    assert (
+        np.concatenate([cut.of_sizes(sd[part], sizes[part], level[part]) for part in parts]).tobytes()
+        == whole.tobytes()
+    )
+
+
+def test_a_size_that_moves_is_behind_and_one_that_stands_is_as_wrong_as_its_model(gains: Gains) -> None:
+    seconds = np.arange(2_000) / gains.rate_hz
+    sizes = np.column_stack([seconds, np.full(2_000, 20.0)])
+    sd = uncertainty(gains).of_sizes(np.full((2_000, 2), 0.001), sizes, np.ones(2_000))
+    assert sd[-1] == pytest.approx([np.hypot(LAG_S, SHARE * seconds[-1]), SHARE * 20.0], rel=0.05)

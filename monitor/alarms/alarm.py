@@ -248,6 +248,7 @@ class Alarm:
             peak=event.peak if event.peak is not None else estimate,
             # JSON has no infinity, so a size may be None.
             size=self.rule.threshold if event.threshold is None else event.threshold,
+            sd=math.nan if event.sd is None else event.sd,
             reported_ns=event.vehicle_time_ms * 1_000_000,
             critical=event.severity == "critical",
             creeping=event.creeping,

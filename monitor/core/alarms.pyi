@@ -38,6 +38,7 @@ class AlarmState:
         estimate: float,
         peak: float,
         size: float,
+        sd: float,
         reported_ns: int,
         critical: bool,
         creeping: bool,
@@ -60,6 +61,8 @@ class ChainRows:
         size: NDArray[np.float64] | None = None,
         growth: NDArray[np.float64] | None = None,
         onset_ns: NDArray[np.int64] | None = None,
+        change_sd: NDArray[np.float64] | None = None,
+        sd: NDArray[np.float64] | None = None,
     ) -> None: ...
 
 def nats_asked(

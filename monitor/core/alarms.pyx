@@ -6,7 +6,7 @@ The rule itself is described in :mod:`monitor.alarms.alarm`, whose names it bear
 
 import numpy as np
 
-from libc.math cimport INFINITY, exp, fabs, sqrt
+from libc.math cimport INFINITY, NAN, exp, fabs, isnan, sqrt
 from libc.stdint cimport int64_t, uint8_t
 
 cdef double NANOSECONDS = 1e9
@@ -17,6 +17,10 @@ cdef int64_t UPDATE_EVERY_NS = 1_000_000_000
 # An update reports a size that moved by this share, or by half the threshold. The estimate of a constant loss of thrust
 # varies by 3 to 6 % of itself (one standard deviation, losses of 5, 10 and 20 % in gusts), so 15 % is no noise.
 cdef double UPDATE_SHARE = 0.15
+
+# An update also reports a size that is known this many times better than the last one that was reported: that of the
+# first two samples of a sudden change is rough. Chosen: halved, so that a size is corrected where that can be read.
+cdef double UPDATE_SHARPER = 2.0
 
 # Two alarms within latch_s may be two causes; at the third the cause is taken to come and go (docs/thresholds.md).
 cdef int RECURRENCES = 3
@@ -53,8 +57,9 @@ cdef enum:
 cdef int64_t LONG_AGO = -(1 << 62)
 
 cdef struct Change:
-    # a sudden change of one channel, with the nats that speak for it: zero for none; its size grows so much a second
-    double nats, size, growth
+    # a sudden change of one channel, with the nats that speak for it: zero for none; its size, with its standard
+    # deviation, grows so much a second
+    double nats, size, sd, growth
     int64_t onset_ns
 
 
@@ -109,6 +114,7 @@ cdef class AlarmState:
     cdef double nats, least, lasting, lasting_ns
     cdef readonly bint active, critical, creeping, recurring, sudden
     cdef readonly double shown, peak, size, reported
+    cdef double reported_sd
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
     cdef bint contiguous, fails_towards_less, explained
     cdef int64_t explained_ns, explained_last_ns
@@ -129,6 +135,7 @@ cdef class AlarmState:
         self.counter_ns = self.fast_counter_ns = 0
         self.raised_count = 0
         self.last_ns = self.ended_ns = LONG_AGO
+        self.reported_sd = NAN
         self.forget()
         self.excused_spans = None
 
@@ -149,8 +156,8 @@ cdef class AlarmState:
         self.excused_now = now
         self.excused_spans = spans
 
-    def resume(self, double estimate, double peak, double size, int64_t reported_ns, bint critical, bint creeping,
-               bint recurring):
+    def resume(self, double estimate, double peak, double size, double sd, int64_t reported_ns, bint critical,
+               bint creeping, bint recurring):
         """Be active as an event of another run of the monitor says."""
         self.counter_ns = self.fast_counter_ns = self.unseen_ns = 0
         self.trend.reset()
@@ -161,7 +168,7 @@ cdef class AlarmState:
             self.lasts, self.whole_ns = self.lasting < INFINITY, self.lasting_ns
         self.active, self.critical, self.creeping, self.recurring = True, critical, creeping, recurring
         self.shown = self.reported = estimate
-        self.peak, self.size, self.reported_ns = peak, size, reported_ns
+        self.peak, self.size, self.reported_ns, self.reported_sd = peak, size, reported_ns, sd
 
     def deactivate(self):
         """Stop being active without an event, and forget the evidence so far."""
@@ -186,7 +193,7 @@ cdef class AlarmState:
                     return True
         return False
 
-    cdef int step(self, int64_t now, bint restart, double evidence, bint speaking, double scale,
+    cdef int step(self, int64_t now, bint restart, double evidence, bint speaking, double scale, double sd,
                   const Change* change) noexcept:
         """Process one row; return the event it causes."""
         cdef int64_t elapsed
@@ -194,7 +201,7 @@ cdef class AlarmState:
         if not self.active and self.is_certain(change, evidence) and not self.excused(now):
             self.last_ns, self.contiguous = now, True
             self.raise_alarm(now, change.size, self.least, False)
-            self.sudden = True
+            self.sudden, self.reported_sd = True, change.sd
             # One that grows is seen when it has grown.
             self.unseen_ns = UNSEEN_NS + (<int64_t>(self.ahead_s * NANOSECONDS) if change.growth != 0.0 else 0)
             return C_RAISED
@@ -211,14 +218,16 @@ cdef class AlarmState:
         self.last_ns, self.contiguous = now, True
         self.average(restart, evidence / scale, scale, elapsed)
         if self.active:
-            return self.follow(now, evidence, scale, elapsed)
+            return self.follow(now, evidence, scale, sd, elapsed)
         event = self.debounce(now, evidence, scale, elapsed)
+        if event == C_RAISED:
+            self.reported_sd = sd
         if event == C_RAISED and not self.creeping and change.nats > 0.0 and change.onset_ns > self.ended_ns:
             # The estimate is on its way to a sudden change; the test knows its size before it is certain.
             if change.size * evidence > 0.0:
                 self.shown = self.peak = self.reported = change.size
                 self.critical = fabs(change.size) >= self.critical_size
-                self.sudden = True
+                self.sudden, self.reported_sd = True, change.sd
         return event
 
     cdef int explain(self, int64_t now, double size) noexcept:
@@ -294,10 +303,10 @@ cdef class AlarmState:
         self.size, self.shown, self.peak, self.reported, self.reported_ns = size, evidence, evidence, evidence, now
         return C_RAISED
 
-    cdef int follow(self, int64_t now, double evidence, double scale, int64_t elapsed) noexcept:
+    cdef int follow(self, int64_t now, double evidence, double scale, double sd, int64_t elapsed) noexcept:
         """Update or clear an active alarm."""
         cdef double shown, ahead, moves
-        cdef bint worsens, due, moved, kept
+        cdef bint worsens, due, moved, sharper, kept
         # What only a mean sees is still best described by it.
         self.creeping = self.creeping and fabs(evidence) < (scale if self.lasts else 1.0) * self.threshold
         shown = evidence
@@ -327,9 +336,14 @@ cdef class AlarmState:
         self.counter_ns = 0 if self.recurring else max(0, self.counter_ns - elapsed)
         moves = max(UPDATE_SHARE * fabs(self.reported), self.size / 2)
         moved = fabs(shown - self.reported) > moves
+        # where the deviation was not known, any is better
+        sharper = UPDATE_SHARPER * sd <= self.reported_sd or (isnan(self.reported_sd) and not isnan(sd))
         due = not 0 <= now - self.reported_ns < UPDATE_EVERY_NS
-        if worsens or (moved and due):
-            self.reported, self.reported_ns = shown, now
+        if worsens or ((moved or sharper) and due):
+            if sharper and self.peak == self.reported:
+                # A rough size is no peak of the fault.
+                self.peak = shown
+            self.reported, self.reported_ns, self.reported_sd = shown, now, sd
             return C_UPDATED
         return C_NONE
 
@@ -366,7 +380,9 @@ cdef class ChainRows:
         How many times its sizes evidence of each of the first m alarms has to reach; 1 where it is left out.
     changed : intp (n,), optional
         The alarm of which a sudden change is named at each row, -1 for none; with its ``nats``, ``size`` and
-        ``growth`` a second, float64, and ``onset_ns``, int64 (n,).
+        ``growth`` a second, float64, and ``onset_ns``, int64 (n,), and the ``change_sd`` of its size.
+    sd : float64 (n, m), optional
+        Standard deviation of the evidence of the first m alarms, not a number where it is not known.
     """
 
     cdef tuple alarms
@@ -375,17 +391,18 @@ cdef class ChainRows:
     cdef const double[:, :] evidence
     cdef const uint8_t[:, :] speaking
     cdef const Py_ssize_t[:] changed
-    cdef const double[:, :] scale
-    cdef const double[:] nats, size, growth
+    cdef const double[:, :] scale, sd
+    cdef const double[:] nats, size, growth, change_sd
     cdef const int64_t[:] onset_ns
 
     def __init__(self, alarms, position, times_ns, restart, evidence, speaking, scale=None, changed=None, nats=None,
-                 size=None, growth=None, onset_ns=None):
+                 size=None, growth=None, onset_ns=None, change_sd=None, sd=None):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
         self.restart, self.evidence, self.speaking = restart, evidence, speaking
-        self.scale = scale
+        self.scale, self.sd = scale, sd
         self.changed, self.nats, self.size, self.growth, self.onset_ns = changed, nats, size, growth, onset_ns
+        self.change_sd = change_sd
 
     cdef void supersede(self, Py_ssize_t alarm) noexcept:
         """Wait no longer for the estimate to show sudden changes of other channels: it shows this one."""
@@ -395,7 +412,7 @@ cdef class ChainRows:
                 (<AlarmState>self.alarms[i]).unseen_ns = 0
 
     cdef Change change_of(self, Py_ssize_t row, Py_ssize_t alarm) noexcept:
-        cdef Change change = Change(0.0, 0.0, 0.0, 0)
+        cdef Change change = Change(0.0, 0.0, NAN, 0.0, 0)
         cdef Py_ssize_t i
         cdef AlarmState other
         if self.changed is None or self.changed[row] != alarm:
@@ -405,7 +422,9 @@ cdef class ChainRows:
             other = <AlarmState>self.alarms[i]
             if i != alarm and (other.active or other.ended_ns >= self.onset_ns[row]):
                 return change
-        change = Change(self.nats[row], self.size[row], self.growth[row], self.onset_ns[row])
+        change = Change(
+            self.nats[row], self.size[row], NAN if self.change_sd is None else self.change_sd[row], self.growth[row],
+            self.onset_ns[row])
         return change
 
 
@@ -575,7 +594,8 @@ def walk(chains, on_event):
             change = chain.change_of(row, i)
             event = alarm.step(
                 chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i],
-                chain.scale[row, i] if chain.scale is not None and i < chain.scale.shape[1] else 1.0, &change)
+                chain.scale[row, i] if chain.scale is not None and i < chain.scale.shape[1] else 1.0,
+                chain.sd[row, i] if chain.sd is not None and i < chain.sd.shape[1] else NAN, &change)
             if event == C_RAISED:
                 chain.supersede(i)
             if event:

@@ -650,7 +650,7 @@ cdef class ChangeTest:
         """Return the fault whose change explains the window best, beyond doubt and with the nats asked, else -1."""
         cdef Py_ssize_t k, h, owner, best = -1, runner = -1
         cdef double nats, first = -1e300, second = -1e300, unexplained, axes, grown
-        cdef Fitted found
+        cdef Fitted found, every
         if not self.may_reach(asked):
             return -1
         for k in range(-2, self.H):
@@ -684,8 +684,13 @@ cdef class ChangeTest:
         grown = self.grows_to(best, chosen.age)
         chosen.size *= grown
         chosen.variance *= grown * grown
+        every = chosen[0]
+        self.weigh(self.owner[best], &every)
         if chosen.growth == 0.0:
-            self.weigh(self.owner[best], chosen)
+            chosen[0] = every
+        else:
+            # Of what grows the size is that of its own onset; how far the others are from it is part of its error.
+            chosen.variance = every.variance + (every.size - chosen.size) * (every.size - chosen.size)
         if best < 3 * self.m and chosen.size > LARGEST_LOSS:
             return -1
         return self.owner[best]
