@@ -62,7 +62,7 @@ _THEOREMS = ("theorem1", "theorem2")
 _BASELINES = ("gao2022", "gao2016", "chen2006", "zhang2008", "ekf")
 _SCALARS = ("beta", "epsilon", "delta")
 _RATE_HZ = 100.0
-"""Of a discrete design of a continuous model without a rate: what autopilots' telemetry is recorded at."""
+"""Rate of a discrete design of a continuous model without one, Hz: that of autopilots' recorded telemetry."""
 _DISCRETE_OPTIONS = {
     "integrator_order": 1,
     "h2": 0.0,
@@ -223,7 +223,7 @@ def run_design(args: argparse.Namespace) -> int:
 
 
 def _only(plant: Plant, names: str) -> Plant:
-    """Return the plant with the named faults alone."""
+    """Return the plant with the named faults only."""
     from gains.analysis.estimability import restricted
 
     wanted = tuple(name.strip() for name in names.split(","))
@@ -234,7 +234,7 @@ def _only(plant: Plant, names: str) -> Plant:
 
 
 def _compare(plant: Plant, args: argparse.Namespace) -> int:
-    """Design with every method and print a line (or JSON line) for each; what is infeasible says why."""
+    """Design with every method and print a line (or JSON line) for each, with the reason if it is infeasible."""
     if args.out is not None:
         raise UsageError(f"{plant.name}: -o takes the gains of one method; leave out --method all")
     if not args.json:
@@ -307,7 +307,7 @@ def run_check(args: argparse.Namespace) -> int:
 
 
 def _design(plant: Plant, args: argparse.Namespace) -> tuple[dict[str, Any], Gains | None]:
-    """Design and certify; return the report, and the compiled gains where there is a rate to compile them for."""
+    """Design and certify; return the report, and the compiled gains if there is a rate to compile them for."""
     if args.method in _BASELINES or _continuous(args):
         for option, default in _DISCRETE_OPTIONS.items():
             if getattr(args, option) != default:
@@ -326,7 +326,7 @@ def _design(plant: Plant, args: argparse.Namespace) -> tuple[dict[str, Any], Gai
 
 
 def _continuous(args: argparse.Namespace) -> bool:
-    """Return whether a design in continuous time is asked for: all but convex and the filter know no other."""
+    """Return whether a design in continuous time is requested: only the convex design and the filter know another."""
     return args.continuous or args.method not in ("convex", "ekf")
 
 
@@ -409,7 +409,7 @@ def _failure(plant: Plant, args: argparse.Namespace, error: ValueError) -> dict[
 
 
 def _floor(plant: Plant, report: dict[str, Any]) -> float | None:
-    """Return the sqrt(mu) that no observer of the plant can beat; None where it has no bound."""
+    """Return the sqrt(mu) that no observer of the plant can beat, or None if it is infinite."""
     from gains.analysis.floor import floor_sqrt_mu
 
     rate_hz = report["rate_hz"] if report["domain"] == "discrete" else None

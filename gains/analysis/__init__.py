@@ -1,1 +1,1 @@
-"""What can be estimated with which sensors, and the bounds that no observer beats."""
+"""Which faults the sensors allow to estimate, and bounds that no observer beats."""

@@ -47,18 +47,16 @@ from adapters.errors import InfeasibleError, ModelError
 from gains.plants.plant import FloatArray, Plant, check_independence
 
 LARGEST_VERTEX_COUNT = 1 << 10
-"""Ten varying slopes. Each vertex is one more inequality of the solver; beyond, the proof by multipliers takes their
-place.
-"""
+"""Largest number of varying slopes whose vertices are enumerated: ten. Each vertex is one more inequality for the
+solver; beyond, the proof by multipliers replaces them."""
 SAMPLE_COUNT = 64
-"""Vertices at which norms and floors are computed where there are more. Fewer make a floor smaller and a norm less
-sure, never wrong: a matter of time alone (measured: .6 ms for the norm of a system of six states).
-"""
+"""Number of vertices at which norms and floors are computed if there are more. Fewer make a floor smaller and a norm
+less certain, never wrong: only the time decides (measured: .6 ms for the norm of a system of six states)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Augmentation:
-    """A left inverse of [T; Cb], and what is left free in it."""
+    """A left inverse of [T; Cb], and its free part."""
 
     # (nz, n), (nz, p), (nq, n) and (nq, p)
     L1: FloatArray
@@ -106,7 +104,7 @@ class ErrorModel:
     into: FloatArray  # [L1; L_q] E_f (na, a1)
     weights: FloatArray  # one over the error that matters, for each entry of e (nz + a1,)
     a1: int  # number of actuator faults: the last entries of e, and their errors after zeta~ in [zeta~; z]
-    free: FreeRows  # what a moved left inverse adds
+    free: FreeRows  # effect of moving the left inverse
 
     @property
     def sizes(self) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What can be estimated with a plant's sensors, why not all of it, and what would mend that."""
+"""Which faults can be estimated with a plant's sensors, why others cannot, and what would help."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant, first_dependent
 
 _MOST_LISTED = 15
-"""Lines of a kind in the report: what fits on a screen beside the others; the JSON report has all."""
+"""Largest number of lines of a kind in the report: those that fit on a screen beside the others; the JSON report has
+all."""
 _WIDTH = 14
-"""Letters of the longest label, and two."""
+"""Width of the labels: the letters of the longest one, and two."""
 _LEGEND = {
     "steady": "a constant fault shifts the output",
     "ramp": "a constant fault moves it on and on",
@@ -67,7 +68,7 @@ def check_text(check: Check) -> str:
 
 
 def sentence(explanation: Explanation, plant: Plant) -> str:
-    """Return why a set of faults cannot be estimated, and what mends it."""
+    """Return why a set of faults cannot be estimated, and what would help."""
     problem = explanation.problem
     faults, states = _listed(problem.faults), _listed(problem.states)
     number = len(problem.faults)
@@ -176,14 +177,13 @@ Effect = Literal["steady", "change", "ramp", "none"]
 
 LEAK_S = 60.0
 """Time constant of the leak that an advice tries, s. Chosen: twice that of the position washout, slow beside every
-fault that is to be seen.
-"""
+fault that has to be detected."""
 _MOST_EXPLAINED = 20
-"""Problems that get an explanation: each costs a check of the plant for every sensor that could be added."""
+"""Largest number of problems with an explanation: each costs a check of the plant for every sensor that could be
+added."""
 _EFFECT_TOLERANCE = 1e-11
-"""Share of the largest effect there could be. Rounding leaves 1e-16 to 1e-13 of it (double precision times the
-condition of a scaled system).
-"""
+"""Share of the largest possible effect below which there is none. Rounding leaves 1e-16 to 1e-13 of it (double
+precision times the condition of a scaled system)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +213,7 @@ class FaultPair:
 class Check:
     """The findings about a plant."""
 
-    plant: Plant  # the plant as it was looked at
+    plant: Plant  # the plant that was checked
     estimability: Estimability  # the largest sets of faults that can be estimated together and the smallest that cannot
     explanations: tuple[Explanation, ...]  # those problems with what mends them, at most the first 20
     sensors: tuple[str, ...]  # states of which one additional sensor would make all faults estimable together

@@ -32,34 +32,32 @@ from gains.plants.plant import FloatArray, Plant, check_independence, first_depe
 Condition = Literal["hidden mode", "rank of E_f", "rank of D_f", "detectability of (L1 A_z, Cb)", "condition II"]
 
 LARGEST_TEST_COUNT = 5000
-"""Tests of a set at a slope (measured: 1 ms each for a quadrotor): the search ends within seconds."""
+"""Largest number of tests of a set at a slope (measured: 1 ms each for a quadrotor): the search ends within seconds."""
 _MOST_GROWN = 20
-"""Sets that are grown to largest ones where the search ended early: as many as a report can explain."""
+"""Number of sets that are grown to largest ones if the search ended early: as many as a report can explain."""
 _SEEN_TOLERANCE = 1e-6
-"""Share of an effect. Measured on the plants of the tests: what is unseen shows exactly 0, what is seen 4e-3 and
-more.
-"""
+"""Share of an effect below which it is not seen. Measured on the plants of the tests: unseen effects are exactly 0,
+seen ones 4e-3 and more."""
 _MOVING = 0.05
-"""Share of a unit of a fault, of motions that no output shows at once: less is a side effect of the others."""
+"""Share of a fault's unit, in motions that no output shows at once, below which the fault is only a side effect of the
+others."""
 _GENERIC_TOLERANCE = 1e-9
-"""Smallest singular value, in units of the signals. Measured on the plants of the tests: a pencil without full rank
-shows 2e-16 at most, one with full rank 3e-4 and more.
-"""
+"""Smallest singular value of full rank, in units of the signals. Measured on the plants of the tests: a pencil without
+full rank has 2e-16 at most, one with full rank 3e-4 and more."""
 _GENERIC = (0.37 + 0.61j, 0.83 - 0.29j)
-"""Two points that are no zero of any plant but by coincidence, in units of the size of A: a pencil that loses rank at
-both loses it everywhere.
-"""
+"""Two points that are zeros of a plant only by coincidence, in units of the size of A: a pencil that loses rank at both
+loses it everywhere."""
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
     """A smallest set of faults that cannot be estimated together, and why."""
 
-    faults: tuple[str, ...]  # the set; empty where the plant itself hides a mode
+    faults: tuple[str, ...]  # the set; empty if the plant itself hides a mode
     condition: Condition  # the existence condition that fails
     mode: complex  # the hidden mode in the continuous sense, radians per second (0: constant)
     states: tuple[str, ...]  # states that move with the faults while every output is zero, the largest first
-    at_every_frequency: bool  # whether other motions of the faults hide in the same way, not this mode alone
+    at_every_frequency: bool  # whether other motions of the faults are hidden in the same way, besides this mode
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +67,13 @@ class Estimability:
     # the largest sets of faults that can be estimated together, each in the order of the model
     sets: tuple[tuple[str, ...], ...]
     problems: tuple[Problem, ...]  # the smallest sets that cannot
-    # whether all sets were looked at; else the search stopped after ``LARGEST_TEST_COUNT`` tests of a set at a
+    # whether all sets were tested; otherwise the search stopped after ``LARGEST_TEST_COUNT`` tests of a set at a
     # combination of slopes, and there may be more of both
     complete: bool = True
 
 
 def restricted(plant: Plant, faults: Iterable[str]) -> Plant:
-    """Return the plant with these faults only; all else stays."""
+    """Return the plant with these faults only; all else is unchanged."""
     kept = set(faults)
     return replace(plant, faults=tuple(fault for fault in plant.faults if fault.name in kept))
 
@@ -123,7 +121,7 @@ def estimability(plant: Plant) -> Estimability:
 
 
 def _grown(plant: Plant, faults: tuple[str, ...], names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return an estimable set with every fault added that leaves it so."""
+    """Return an estimable set with every fault added that keeps it estimable."""
     for name in names:
         if name not in faults and problem_of(plant, (*faults, name)) is None:
             faults = (*faults, name)
@@ -234,12 +232,12 @@ def _complex_text(value: complex) -> str:
 
 
 def moving_states(plant: Plant, mode: HiddenMode) -> tuple[str, ...]:
-    """Return the states that take part in a mode, the largest first in units of the errors that matter."""
+    """Return the states that move in a mode, the largest first in units of the errors that matter."""
     return leading(plant.states, mode.direction[: len(plant.states)] / plant.state_errors)
 
 
 def continuous_mode(eigenvalue: complex, plant: Plant) -> complex:
-    """Return an eigenvalue as s in radians per second; minus infinity for what is over after one sample."""
+    """Return an eigenvalue as s in radians per second; minus infinity for a mode that ends within one sample."""
     if plant.rate_hz is None:
         return eigenvalue
     if abs(eigenvalue) < 1e-12:
@@ -294,7 +292,7 @@ def late_faults(plant: Plant) -> tuple[str, ...]:
 
 
 def hides_at_every_frequency(plant: Plant, A: FloatArray) -> bool:
-    """Return whether the pencil of the faults loses rank wherever it is looked at."""
+    """Return whether the pencil of the faults loses rank at every tested point."""
     if len(plant.faults) > len(plant.outputs):
         return True
     pencil, size, _ = fault_pencil(plant, A)

@@ -36,9 +36,8 @@ _GRID = 160
 smaller, never wrong.
 """
 _DECADES = 8.0
-"""Below the fastest pole, or half the rate: the slowest modes of plants that are watched at 100 Hz take hours at the
-most.
-"""
+"""Decades of the grid below the fastest pole, or half the rate: the slowest modes of plants monitored at 100 Hz take
+hours at the most."""
 _REFINEMENTS, _BETWEEN = 9, 15
 """Finer grids around the best, and their points: each looks at 2/16 of the one before, the last at 7e-9 of a step."""
 _RANK_TOLERANCE = 1e-11
@@ -46,7 +45,7 @@ _RANK_TOLERANCE = 1e-11
 3e-6 and more.
 """
 _TIE = 1e-9
-"""A gain in the last digits moves the frequency of a flat floor about; only a larger one counts."""
+"""Relative gain below which a floor counts as unchanged: rounding moves the frequency of a flat floor about."""
 
 
 @dataclass(frozen=True, slots=True)

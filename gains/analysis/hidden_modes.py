@@ -12,18 +12,15 @@ from numpy.typing import NDArray
 from gains.plants.plant import Domain, FloatArray, Plant
 
 _RANK_TOLERANCE = 1e-10
-"""Singular value in units of the signals. Measured on the plants of the tests: kernels show 1e-13 at most, all else
-4e-6 and more.
-"""
+"""Singular value below which a direction is in the kernel, in units of the signals. Measured on the plants of the
+tests: kernels have 1e-13 at most, all others 4e-6 and more."""
 _STABILITY_TOLERANCE = 1e-8
-"""Decay in units of the size of A. Measured on the plants of the tests: modes that stay show 1e-13 at most, modes
-that decay 4e-4 and more; a slower one needs days to go.
-"""
+"""Decay below which a mode stays, in units of the size of A. Measured on the plants of the tests: modes that stay have
+1e-13 at most, modes that decay 4e-4 and more; a slower one decays for days."""
 
 _SHARE = 0.05
-"""Chosen: a signal that moves by less than a twentieth of the largest, in units of the errors that matter, is left
-out of texts.
-"""
+"""Share of the largest motion, in units of the errors that matter, below which a signal is left out of texts. Chosen:
+less than a twentieth tells a reader nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,12 +36,12 @@ class HiddenMode:
 
     @property
     def direction(self) -> FloatArray:
-        """Size of each signal that moves in it."""
+        """Size of each signal's motion in the mode."""
         return np.abs(self.motion)
 
     @property
     def stays(self) -> bool:
-        """Whether it does not decay by itself."""
+        """Whether the mode does not decay by itself."""
         return self.decay <= _STABILITY_TOLERANCE
 
 
@@ -77,7 +74,7 @@ def hidden_modes(A: FloatArray, C: FloatArray, scales: FloatArray, domain: Domai
 
 
 def leading(names: Sequence[str], sizes: FloatArray) -> tuple[str, ...]:
-    """Return the names of what takes part in a motion, the largest first: ``_SHARE`` of the largest, and more."""
+    """Return the names of the signals that move, the largest first: those with ``_SHARE`` of the largest or more."""
     order = np.argsort(-sizes, kind="stable")
     return tuple(names[i] for i in order if sizes[i] >= _SHARE * np.max(sizes) > 0.0)
 

@@ -36,7 +36,7 @@ _STEPS = 100
 The rest is for systems at the edge of stability, for which the gap widens.
 """
 _WIDEN_AFTER = 20
-"""Steps from which on rounding decides: each widens the gap tenfold."""
+"""Number of steps after which rounding decides: each further step widens the gap tenfold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ def gains_at(
 
 
 def _balanced(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the realisation with its states scaled so that what enters and what leaves each is of one size."""
+    """Return the realisation with its states scaled so that inputs and outputs of each have one size."""
     from scipy.linalg import matrix_balance
 
     n = len(A)

@@ -25,11 +25,11 @@ from gains.analysis.hidden_modes import hidden_modes, leading, signal_scales
 from gains.plants.plant import FloatArray, Plant
 
 _LARGEST = 1e4
-"""In units of the size of A. The square pencil has infinite zeros too, which rounding makes large but finite."""
+"""Largest size of a finite zero, in units of the size of A. The square pencil has infinite zeros too, which rounding
+makes large but finite."""
 _ZERO_TOLERANCE = 1e-8
-"""Smallest singular value, in units of the signals. Measured on the plants of the tests: zeros of the whole pencil
-show 1e-15 at most, those of its random square part alone 1.5e-3 and more.
-"""
+"""Smallest singular value of full rank, in units of the signals. Measured on the plants of the tests: zeros of the
+whole pencil have 1e-15 at most, those of its random square part alone 1.5e-3 and more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ def invariant_zeros(plant: Plant) -> tuple[Zero, ...]:
 
 
 def mode_text(s: complex) -> str:
-    """Return how a mode moves, in words."""
+    """Return a mode's motion in words."""
     if math.isinf(s.real):
         return "gone after one sample"
     if abs(s) < 1e-9:

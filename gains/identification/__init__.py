@@ -1,1 +1,1 @@
-"""Healthy recordings to plants: motors, surfaces, drives, sensors, free parameters of a model."""
+"""Plants from healthy recordings: motors, surfaces, drives, sensors, free parameters of a model."""

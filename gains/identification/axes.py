@@ -18,8 +18,8 @@ cannot be seen, and enters the reading of the estimates as such (``loss_doubt`` 
 _MOVED = 0.005
 """Standard deviation below which an actuator did not move, in full deflections: five steps of a servo's pulse."""
 _FAULT_RATE = 2.0
-"""How fast an effect may be lost, full deflections per second: the bandwidth of the design. Chosen: half a second to a
-full loss; faster, more noise gets into the estimates, slower, their delay grows."""
+"""Rate at which an effect may be lost, full deflections per second: the bandwidth of the design. Chosen: half a second
+to a full loss; a higher rate adds noise to the estimates, a lower one delay."""
 _ERROR = 0.01
 """The error of a fault's estimate that counts as one, in full deflections."""
 _LEAST_NOISE = 0.3
@@ -29,16 +29,16 @@ where the fit found no sensor noise."""
 
 @dataclass(frozen=True, slots=True)
 class Excitation:
-    """Whether an actuator was learned well enough to be watched."""
+    """Whether an actuator was identified well enough to be monitored."""
 
     actuator: str  # its channel name
     excited: bool  # the verdict
-    advice: str  # what was missing and what to fly or drive; empty where nothing was
+    advice: str  # what was missing and what to fly or drive; empty if nothing was
 
 
 @dataclass(frozen=True, slots=True)
 class AxesFit:
-    """What recordings say about such a vehicle."""
+    """The result of identifying such a vehicle from recordings."""
 
     rate_hz: float  # samples per second of the model
     inputs: tuple[str, ...]  # names of u

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from gains.plants.plant import FloatArray
 
 _RIDGE = 1e-8
-"""Of the variance: predictions of very smooth errors do not hang on rounding, 1e-16 of their squares."""
+"""Share of the variance added to it: predictions of very smooth errors must not depend on rounding, 1e-16 of their
+squares."""
 _LEAST = 2
 """Errors before a row that have to be known for it to count. After a break commands have answered disturbances that no
 row shows; two rows predict all but a few per cent of errors that are correlated as those of real flights (.87 to .98).
@@ -27,7 +28,7 @@ class Autoregression(NamedTuple):
     """Predictors of an error from the errors before it, of orders 0, 1, ..., p."""
 
     coefficients: tuple[FloatArray, ...]  # of e(k-1), ..., e(k-m) for each order m
-    variances: FloatArray  # what each leaves (p + 1,)
+    variances: FloatArray  # variance that each order leaves (p + 1,)
 
 
 def autoregression(errors: Sequence[FloatArray], own: Sequence[NDArray[np.bool_]], longest: int) -> Autoregression:
@@ -87,6 +88,6 @@ def past_errors(errors: FloatArray, own: NDArray[np.bool_], rows: NDArray[np.int
 
 
 def known_before(own: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return how many rows in a row are known before each that is (N,)."""
+    """Return the number of consecutive known rows before each row (N,)."""
     index = np.arange(len(own))
     return np.asarray(index - 1 - np.maximum.accumulate(np.where(own, -1, index)))

@@ -16,29 +16,29 @@ from gains.identification.simulation import Dynamics
 from gains.plants.plant import FloatArray
 
 _LARGEST_ERROR = 0.25
-"""Standard error, as a share of the parameter: beyond, zero lies within four errors, and a design by the value would
-prove little.
-"""
+"""Largest standard error, as a share of the parameter: beyond it zero lies within four errors, and a design by the
+value would prove little."""
 _TOGETHER = 0.95
-"""Correlation of two estimates. There the error of each is 3.2 times (1 / sqrt(1 - .95^2)) what it is with the other
-known.
-"""
+"""Largest correlation of two estimates. There the error of each is 3.2 times (1 / sqrt(1 - .95^2)) what it is with the
+other known."""
 _AT_BOUND = 1e-3
-"""Of the parameter's size: the solver stops within 1e-7 of it."""
+"""Distance from a bound, as a share of the parameter's size, that counts as at the bound: the solver stops within 1e-7
+of it."""
 _STEP = 1e-4
-"""Relative: by what a parameter is moved to see what it touches; every entry it enters then differs in many digits."""
+"""Relative change of a parameter that shows which entries depend on it; every such entry then differs in many
+digits."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExcitationVerdict:
-    """What is known about one parameter."""
+    """The verdict on one parameter."""
 
     name: str
     # its estimate and how far that may be off, in its own unit
     value: float
     standard_error: float
     determined: bool  # whether the recordings determine it
-    note: str  # what is wrong and what would mend it; empty where nothing is
+    note: str  # what is wrong and what would help; empty if nothing is
 
 
 def excitation_verdicts(

@@ -17,11 +17,11 @@ from gains.plants.plant import FloatArray
 _FINE = 8
 """Steps of the response's grid per sample. Measured on a lag of a fifth of a sample: 64 move no tap by 2e-3."""
 _LAGS, _FILTERS = 9.0, 6.0
-"""After so many lags and filter delays the response is complete: exp(-9) is .01 %, and exp(-6) .25 % of the filter."""
+"""Lags and filter delays after which the response is complete: exp(-9) is .01 %, and exp(-6) .25 % of the filter."""
 _HELD = 0.995
 """Share of the response that the taps of a running model hold: the rest is a tail that no observer sees."""
 _NOTHING = 1e-9
-"""Seconds: a shorter lag is none."""
+"""Seconds below which a lag counts as none."""
 
 
 def lag_taps(times_s: FloatArray, rate_hz: float, length: int | None = None) -> FloatArray:

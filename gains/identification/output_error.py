@@ -37,7 +37,7 @@ _LONGEST_DELAY_S = 0.2
 """Largest delay tried, s: telemetry radios and filters add up to less."""
 
 _LENGTHS = (20, 200)
-"""Samples of a window: fewer show no dynamics beside the free initial state, more cost memory."""
+"""Fewest and most samples of a window: fewer show no dynamics beside the free initial state, more cost memory."""
 _MOST_WINDOWS = 150
 """Five minutes of data: bounds the time of a fit. Standard errors shrink with the root of the number of windows."""
 _COARSE_WINDOWS = 20
@@ -64,7 +64,7 @@ _EVALUATIONS = 30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedData:
-    """Recorded windows beside what the fitted model says about them."""
+    """Recorded windows and the fitted model's predictions of them."""
 
     # outputs (W, T, p); the simulation knows no measurement but for its initial state
     measured: FloatArray
@@ -80,7 +80,7 @@ class FittedData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutputErrorFit:
-    """What recordings say about a model with free parameters."""
+    """The result of identifying a model with free parameters from recordings."""
 
     model: FreeModel
     rate_hz: float  # samples per second of the recordings
@@ -274,7 +274,7 @@ class _Work:
         return min(candidates, key=lambda candidate: candidate[0])[1:]
 
     def fitted(self, theta: FloatArray, hold: Hold, windows: Windows, noise: NoiseScales) -> FittedData:
-        """Return what the model says about windows."""
+        """Return the model's predictions of windows."""
         weight = np.linalg.cholesky(np.linalg.inv(noise.S))
         simulation = self.shooting(windows, hold, np.zeros_like(noise.K), np.diag(1.0 / np.sqrt(np.diag(noise.S))))
         errors = simulation.errors(theta)

@@ -52,12 +52,12 @@ _AS_GOOD = 10.0
 degrees of freedom).
 """
 _SMALLEST = 1e-12
-"""Keeps divisions by a variance of nothing finite."""
+"""Least variance that is divided by: keeps a division by zero variance finite."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisModel:
-    """What is looked for: one output, the actuator that moves it, and what else does."""
+    """The axis to identify: one output, the actuator that moves it, and its other inputs."""
 
     # names of y and u
     output: str
@@ -72,9 +72,9 @@ class AxisModel:
 
 @dataclass(frozen=True, slots=True)
 class AxisFit:
-    """What the recordings say about one output."""
+    """The result of identifying one output from recordings."""
 
-    model: AxisModel  # what was looked for
+    model: AxisModel  # the axis that was identified
     # coefficients per step; b is the actuator's
     a: float
     b: float
@@ -96,7 +96,7 @@ class AxisFit:
 
     @property
     def t_value(self) -> float:
-        """How well the axis was excited: b over its standard error."""
+        """Excitation of the axis: b over its standard error."""
         return abs(self.b) / max(self.b_error, _SMALLEST)
 
 
@@ -155,7 +155,7 @@ def lagged(effect: FloatArray, delay_s: float, lag_s: float, rate_hz: float) -> 
 
 
 def coloured_inflation(residual: Sequence[FloatArray], rate_hz: float) -> float:
-    """Return by how much correlation in time inflates the variance of a mean of the residual: 1 for white."""
+    """Return the factor by which correlation in time inflates the variance of a residual's mean: 1 for white."""
     centred = [part - part.mean() for part in residual]
     variance = sum(float(part @ part) for part in centred)
     total = 1.0
@@ -287,7 +287,7 @@ def _shadowing(X: FloatArray, own: int, rivals: FloatArray) -> float:
 
 
 def _timings(rate_hz: float) -> Iterator[tuple[float, float]]:
-    """Yield lags and delays worth telling apart on this grid."""
+    """Yield the lags and delays that this grid can tell apart."""
     step = 0.5 / rate_hz
     delays = [delay for i, delay in enumerate(_DELAYS_S) if i == 0 or delay - _DELAYS_S[i - 1] >= step]
     return product(_LAGS_S, delays)

@@ -1,4 +1,4 @@
-"""What residuals say about a model: are they white, are they normal."""
+"""Tests of a model's residuals: whether they are white and normal."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class ResidualStatistics:
 
     @property
     def white(self) -> bool:
-        """Whether nothing speaks against white residuals."""
+        """Whether no test contradicts white residuals."""
         return self.ljung_box_p >= _LEAST_P
 
     @property
     def note(self) -> str:
-        """One phrase for people."""
+        """The verdict in a phrase for people."""
         lag = int(np.argmax(np.abs(self.autocorrelation)))
         largest = float(self.autocorrelation[lag])
         if self.white:

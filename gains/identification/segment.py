@@ -1,4 +1,4 @@
-"""What identification learns from: samples of healthy operation."""
+"""Samples of healthy operation, from which identification learns."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Segment:
         return np.ones(len(self.u), np.bool_) if self.own is None else self.own
 
     def part(self, start: int, stop: int) -> Segment:
-        """Return the samples start <= row < stop."""
+        """Return the samples from row ``start`` to before row ``stop``."""
         return Segment(self.u[start:stop], self.y[start:stop], None if self.own is None else self.own[start:stop])
 
     def unbroken(self) -> list[Segment]:
-        """Return the parts all of whose samples are evidence."""
+        """Return the parts in which all samples are evidence."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.evidence, [False]]).astype(np.int8)))
         return [Segment(self.u[start:stop], self.y[start:stop]) for start, stop in edges.reshape(-1, 2)]

@@ -1,4 +1,4 @@
-"""Configuration of the daemon: what may be set, its defaults, and how a TOML file becomes one, all errors at once."""
+"""Configuration of the daemon: its keys, their defaults, and how a TOML file is read, all mistakes at once."""
 
 from __future__ import annotations
 

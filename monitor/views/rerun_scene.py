@@ -128,7 +128,7 @@ class RerunScene:
         self._scalars(path, [_unix(unix_ns)], values)
 
     def way(self, way: Way, traces: Sequence[Trace]) -> None:
-        """Send where the vehicle was, as GPS says and by the estimates, for a map, and in space with its attitude."""
+        """Send the positions by GPS and those corrected by the estimates, for a map and in space with attitudes."""
         base = max(traces, key=lambda trace: len(trace.unix_ns))
         real = way.real(traces)
         for name, places, colour in (("gps", way.places, VERMILION), ("track", real, BLUE)):
