@@ -1,1 +1,1 @@
-"""Recordings through the very same pipeline: fit a profile, replay a log, convert, demonstrate."""
+"""Recordings, processed by the pipeline of the running monitor: fit a profile, replay a log, convert, demonstrate."""

@@ -1,4 +1,4 @@
-"""Functions of ``import fauio`` that put several parts of the program together; docs/library.md shows all of it."""
+"""Functions of ``import fauio`` that combine several parts of the program; docs/library.md lists all."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def replay(
 ) -> Replay:
     """Look for faults in a recording.
 
-    Use this for recordings, whole or cut with :func:`fauio.read_batches`; use :class:`fauio.Pipeline` where telemetry
-    comes bit by bit or estimates are needed as they arise.
+    Use this for recordings, whole or cut with :func:`fauio.read_batches`; use :class:`fauio.Pipeline` if telemetry
+    arrives bit by bit or estimates are needed at once.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def replay(
     recording : str | PathLike | Iterable[Batch]
         A recording (.tlog, .mcap, .ulg, .bin, also compressed), a folder of a session, or batches.
     vehicle : str | None
-        Name of the vehicle in events; None takes the profile's.
+        Name of the vehicle in events; None: the profile's.
     record : str | PathLike | None
         MCAP file to write telemetry, estimates and alarms to.
     keep_traces : bool
@@ -55,12 +55,12 @@ def replay(
     on_event : Callable[[AlarmEvent], None] | None
         Called with each alarm event as it arises.
     force : bool
-        Whether to go on where the vehicle says it is another than the profile's.
+        Whether to go on if the recording reports another vehicle than the profile's.
 
     Raises
     ------
     ProfileError, TelemetryError
-        The profile or the recording cannot be used, or the recording says it is of another vehicle.
+        The profile or the recording cannot be used, or the recording reports another vehicle.
 
     Examples
     --------
@@ -105,17 +105,17 @@ def fit(
     recordings : Sequence[str | PathLike]
         The recordings, minutes of healthy motion in all.
     folder : str | PathLike
-        Where the profile goes.
+        Folder to which the profile is written.
     name : str | None
-        Name of the profile; None takes the folder's.
+        Name of the profile; None: the folder's.
     model : str | PathLike | None
-        Plant model with free parameters; for ``custom``, and for no other kind.
+        Plant model with free parameters; only for ``custom``.
     force : bool
         Whether to go on where a recording says it is of another kind of vehicle, or of another vehicle than the first.
     rate_hz : float | None
-        Samples per second of the vehicle's own observer; None: as many as its messages allow.
+        Samples per second of the vehicle's own observer; None: as fast as its messages allow.
     start_s, end_s : float
-        Part of each recording to fit, seconds since its first message.
+        Begin and end of the part of each recording that is fitted, seconds since its first message.
     update : bool
         Whether the folder is a profile that learns these recordings beside the flights that it keeps.
 
@@ -151,16 +151,16 @@ def fit(
 
 
 def check(model: Plant | str | os.PathLike[str], rate_hz: float | None = None) -> Check:
-    """Say which faults of a plant its sensors can tell apart, and what would mend what they cannot.
+    """Find out which faults of a plant its sensors can tell apart, and what would help with the others.
 
-    Use this before :func:`fauio.design`: it explains what a design can only refuse.
+    Use this before :func:`fauio.design`: it explains why a plant has no design.
 
     Parameters
     ----------
     model : Plant | str | PathLike
         A plant, a model file or the name of a built-in model.
     rate_hz : float | None
-        Samples per second at which a continuous model is observed; None looks at the model as it is.
+        Samples per second at which a continuous model is observed; None: the model is examined unsampled.
 
     Raises
     ------
@@ -193,13 +193,13 @@ def design(
     model : Plant | str | PathLike
         A plant, a model file or the name of a built-in model.
     rate_hz : float | None
-        Samples per second; None takes a discrete model's own.
+        Samples per second; None: the rate of a discrete model.
     faults : Sequence[str] | None
-        Estimate these of the model's faults alone; None estimates all.
+        Names of the model's faults to estimate; None: all.
     pole_radius : float
-        Largest size of a pole of the error, at most 1: smaller forgets faster and passes more noise.
+        Largest magnitude of a pole of the error, at most 1: a smaller one forgets faster and passes more noise.
     h2 : float
-        Weight of the noise that passes, beside the worst case.
+        Weight of the passed noise, relative to the worst case.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Commands that put faults into recordings: inject, detectability."""
+"""The commands that put faults into recordings: inject, detectability."""
 
 from __future__ import annotations
 

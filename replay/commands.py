@@ -1,4 +1,4 @@
-"""Commands of this package: demo, fit, convert, info; replay, inject and detectability have modules of their own."""
+"""The commands demo, fit, convert and info. The commands replay, inject and detectability have modules of their own."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 _FASTEST_HZ = 1000.0
-"""Chosen: no telemetry is faster, and the grid would cost memory for nothing."""
+"""Highest rate of an observer. Chosen: no telemetry is faster, and a finer grid would only cost memory."""
 
 
 def add_parsers(subparsers: Any) -> None:
@@ -241,7 +241,7 @@ def run_info(args: argparse.Namespace) -> int:
 
 
 def _about_logs(line: str, logs: Sequence[Path], model: Path | None) -> str:
-    """Return an error line that names the recordings, where it does not name the file it is about."""
+    """Return an error line, preceded by the recordings' names unless the line names its file already."""
     if any(str(path) in line for path in (*logs, *([model] if model else []))):
         return line
     rest = f" and {len(logs) - 3} more" if len(logs) > 3 else ""
@@ -249,7 +249,7 @@ def _about_logs(line: str, logs: Sequence[Path], model: Path | None) -> str:
 
 
 def _warn(damaged: Iterable[Damage]) -> list[dict[str, Any]]:
-    """Say on stderr what of recordings could not be read, a line for each file; return it for JSON."""
+    """Write to stderr which parts of recordings could not be read, a line for each file; return them for JSON."""
     damage = list(damaged)
     remark(*(f"{part.line()}; all else was read" for part in damage))
     return [part.to_json() for part in damage]

@@ -15,10 +15,10 @@ from monitor.recording.recorder import RecordFile
 
 
 def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboard: str | None = None) -> int:
-    """Write all messages to an MCAP file, made once the recording has shown that it can be read; return how many.
+    """Write all messages to an MCAP file and return their number; the file is made once the recording proves readable.
 
-    A record is written as it is. ``source``, the recording's name, is kept in the file's metadata, and so is the kind
-    of onboard log, where it is one: a reader has to know what its records stand for.
+    A record is written unchanged. The file's metadata holds ``source``, the recording's name, and the kind of an
+    onboard log, because a reader has to know what the log's records mean.
 
     Raises
     ------

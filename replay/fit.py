@@ -43,21 +43,22 @@ from monitor.vehicles.kinds import KINDS, kind_named
 from replay.sensitivity.capability import measure_capability
 
 _NEVER_S = 1e6
-"""Silence after which telemetry would be stale while faults are tried: recordings have gaps that say nothing."""
+"""Silence after which telemetry is stale while faults are tried, seconds: longer than any gap of a recording, since a
+gap tells nothing about the faults."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitReport:
-    """What ``fauio fit`` found."""
+    """Result of ``fauio fit``."""
 
     vehicle: str  # kind of vehicle
     observers: tuple[Fitted, ...]
-    notes: tuple[str, ...]  # what could not be fitted, and why
-    warnings: tuple[str, ...] = ()  # what makes the profile worse than it could be
-    # where the profile.toml went that stood in the folder before, with what a person may have edited in it
+    notes: tuple[str, ...]  # observers that could not be fitted, and why
+    warnings: tuple[str, ...] = ()  # reasons why the profile is worse than it could be
+    # file to which an earlier profile.toml of the folder was moved, which may hold a person's edits
     set_aside: Path | None = None
-    edits: tuple[str, ...] = ()  # what of it was kept, of a profile that was updated
-    # flights that the profile no longer keeps, for lack of room: updates to come are without them
+    edits: tuple[str, ...] = ()  # edits that an updated profile kept
+    # flights that the profile no longer keeps, for lack of room: later updates do not fit them
     left_out: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -94,20 +95,20 @@ def fit_profile(
 ) -> FitReport:
     """Write a profile.
 
-    The options of :func:`replay.api.fit` are here, too; each call of a log goes through it once from the start. With
-    ``update``, a profile whose flights are fitted too and whose edits are kept, ``kind`` may be empty for that
-    profile's own. ``log_names`` empty: by their numbers; ``stage`` is called with each stage that is done;
-    ``capability`` says whether to measure what will be detected how fast, for the profile's readers.
+    The function has the options of :func:`replay.api.fit`. Each call of a log reads it once from the start. ``update``
+    is a profile whose flights are fitted again and whose edits are kept; ``kind`` may then be empty, for that profile's
+    kind. Empty ``log_names``: names are numbers. ``stage`` is called after each stage; ``capability`` tells whether to
+    measure which faults will be detected how fast, for the profile's readers.
 
     Raises
     ------
     OtherVehicleError
-        A recording says so, and nothing forces it.
+        A recording reports another vehicle, and ``force`` is not set.
     UsageError, ProfileError
-        The rate is more than the messages allow; the profile to update is of another kind, keeps nothing of its
-        flights, or has a recording already.
+        The rate is higher than the messages allow; the profile to update is of another kind, keeps none of its
+        flights, or keeps one of the recordings already.
     TelemetryError, ModelError, InfeasibleError
-        The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
+        The recordings lack a needed message, do not excite an axis, or allow no certified design.
     """
     before = None if update is None else _Before(update, read_profile(update), read_kept(update))
     if before is not None:
@@ -144,7 +145,7 @@ def fit_profile(
 
 
 class _Before(NamedTuple):
-    """The profile that is updated."""
+    """The profile before its update."""
 
     folder: Path
     profile: Profile
@@ -157,18 +158,21 @@ class _Before(NamedTuple):
 
     @property
     def edited(self) -> dict[str, Any]:
-        """The profile's table as it is now."""
+        """The current table of the profile, with its edits."""
         return tomllib.loads(self.profile.files[PROFILE_FILE].decode())
 
 
 class _ReadLogs(NamedTuple):
-    """The recordings of a fit, those first that the profile keeps already; what was surveyed, and what is new."""
+    """The recordings of a fit, the ones that the profile keeps first.
+
+    The results of their survey, and the new recordings.
+    """
 
     logs: Sequence[BatchSource]
     names: Sequence[str]
     surveyed: Sequence[SurveyedLog]
     added: Sequence[tuple[str, Extent, BatchSource]]
-    idle: Sequence[str]  # names of those that were left out, as they show no flight
+    idle: Sequence[str]  # names of the recordings that were left out because they show no flight
 
 
 def _read(
@@ -179,7 +183,7 @@ def _read(
     force: bool,
     stage: Callable[[str], None],
 ) -> _ReadLogs:
-    """Go through each recording once, and refuse what is of another vehicle or there twice."""
+    """Read each recording once; refuse recordings of another vehicle and recordings that are given twice."""
     flights = () if before is None else before.kept.flights
     stored = [] if before is None else [partial(flight.batches, before.folder) for flight in flights]
     sources = kept_logs([*stored, *logs])
@@ -210,7 +214,7 @@ def _read(
 
 
 class _OwnObserver(NamedTuple):
-    """A vehicle's own observer, the rule of its evidence, the flights that agree, and why it is not the kind's own."""
+    """A vehicle's own observer, its gate, the flights that agree, and why the kind's observer could not be fitted."""
 
     fitted: Fitted
     gate: GateRule
@@ -219,13 +223,16 @@ class _OwnObserver(NamedTuple):
 
 
 def _own_observer(kind: VehicleKind, request: FitRequest, surveyed: Sequence[SurveyedLog]) -> _OwnObserver:
-    """Fit a vehicle's own observer, without flights that disagree with the others; the sensors' where there is none."""
+    """Fit a vehicle's own observer without the flights that disagree with the others.
+
+    If the recordings do not allow it, fit the observer of the sensors instead.
+    """
     try:
         fitted, gate = load(kind.fit)(request)
     except UntoldError as error:
         if any(_is_another(kind, flight.identity.vehicle_type) for flight in surveyed):
             raise
-        # what the recordings tell of the sensors is no worse for it
+        # the recordings may still be good enough for the observer of the sensors
         try:
             return _OwnObserver(*fit_alone(replace(request, rate_hz=None)), request, (f"{kind.watches}: {error}",))
         except (TelemetryError, ModelError, InfeasibleError):
@@ -240,7 +247,7 @@ def _own_observer(kind: VehicleKind, request: FitRequest, surveyed: Sequence[Sur
 def _further_observers(
     kind: VehicleKind, request: FitRequest, gate: GateRule, stage: Callable[[str], None]
 ) -> tuple[tuple[Fitted, ...], tuple[str, ...]]:
-    """Fit what a kind watches beside its own observer; return the observers, and why others could not be fitted."""
+    """Fit a kind's further observers; return them, and the reasons why others could not be fitted."""
     further = {reference.partition(":fit_")[2]: load(reference) for reference in kind.further}
     if kind.inertial_too:
         further[OBSERVER] = fit_inertial
@@ -261,7 +268,7 @@ def _of_one_vehicle(log: BatchSource) -> Iterable[Batch]:
 
 
 def _check_new(added: tuple[str, Extent], others: Iterable[tuple[str, Extent]]) -> None:
-    """Make sure that a recording is none of the others: it would count twice."""
+    """Check that a recording is not one of the others: it would count twice."""
     name, span = added
     for other, extent in others:
         if extent == span:
@@ -270,7 +277,7 @@ def _check_new(added: tuple[str, Extent], others: Iterable[tuple[str, Extent]]) 
 
 @dataclass(frozen=True, slots=True)
 class SurveyedLog:
-    """A recording's name, what it holds, and which vehicle it says it is of."""
+    """A recording's name, the result of its survey, and the vehicle that it reports."""
 
     name: str
     survey: Survey
@@ -278,17 +285,23 @@ class SurveyedLog:
 
 
 _LONGEST_NAME = 64
-"""That of a model (:mod:`gains.plants.plant`)."""
+"""Longest name, letters: as for a model (:mod:`gains.plants.plant`)."""
 
 
 def name_by_folder(folder: Path) -> str:
-    """Return the name of a vehicle after its profile's folder: hyphens for what a name cannot hold."""
+    """Return the name of a vehicle, made from its profile's folder.
+
+    Hyphens replace letters that a name may not have.
+    """
     name = re.sub(r"[^A-Za-z0-9_-]", "-", folder.resolve().name)
     return (name if name[:1].isalpha() else f"vehicle-{name}")[:_LONGEST_NAME]
 
 
 def survey_log(name: str, log: BatchSource, known: Identity | None = None) -> SurveyedLog:
-    """Go through a recording once, for the vehicle that sends what is fitted, of which ``known`` is known."""
+    """Read a recording once, for the vehicle whose messages are fitted.
+
+    ``known`` is the identity that it is known to have.
+    """
     reports: dict[int, Reports] = {}
     systems: set[int] = set()
 
@@ -304,7 +317,7 @@ def survey_log(name: str, log: BatchSource, known: Identity | None = None) -> Su
             yield batch
 
     found = survey(chosen(of_one_vehicle(followed(log()))))
-    # an onboard log's own records have no system
+    # the records of an onboard log have no system id
     said = reports.get(0, Reports()).joined(reports.get(max(systems, default=0), Reports()))
     identity = said.identity
     if known is not None and identity.difference(known) is None:
@@ -313,20 +326,20 @@ def survey_log(name: str, log: BatchSource, known: Identity | None = None) -> Su
 
 
 def _is_another(kind: VehicleKind, says: str) -> bool:
-    """Return whether a vehicle that says what it is, is of another kind."""
+    """Return whether a vehicle that reports its type is of another kind."""
     return bool(says and kind.type_words) and kind not in likely_kinds(KINDS, says)
 
 
 def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
-    """Make sure that the last of some recordings is of a kind of vehicle, and of the same vehicle as the others.
+    """Check that the last of some recordings is of this kind of vehicle, and of the same vehicle as the others.
 
     Raises
     ------
     OtherVehicleError
-        It says it is not.
+        The recording reports another kind or another vehicle.
     """
     last = surveyed[-1]
-    # ArduPilot's planes that hover report to be planes.
+    # ArduPilot's VTOL planes report that they are planes.
     says = "vtol" if last.survey.is_vtol else last.identity.vehicle_type
     if _is_another(kind, says):
         mend = "".join(f"fit it with --vehicle {kind.name}, " for kind in likely_kinds(KINDS, says))
@@ -342,7 +355,7 @@ def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
 
 
 def profile_content(name: str, kind: str, gate: GateRule, report: FitReport, identity: Identity) -> dict[str, Any]:
-    """Return profile.toml of what was fitted."""
+    """Return the content of profile.toml for what was fitted."""
     tables = {fitted.name: fitted.table() for fitted in report.observers}
     known = {alarm.rule.channel for fitted in report.observers for alarm in fitted.alarms}
     rules = (rule.among(known) for fitted in report.observers for rule in fitted.excuses)
@@ -351,7 +364,10 @@ def profile_content(name: str, kind: str, gate: GateRule, report: FitReport, ide
 
 
 def write_profile(folder: Path, name: str, report: FitReport, content: Mapping[str, Any]) -> Path | None:
-    """Write what was fitted as a profile folder; return where another profile.toml went that stood there."""
+    """Write the fitted observers as a profile folder.
+
+    Return the file to which a different earlier profile.toml was moved.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for fitted in report.observers:
         fitted.write(folder)
@@ -366,7 +382,7 @@ def write_profile(folder: Path, name: str, report: FitReport, content: Mapping[s
 
 
 def replace_kept(path: Path, text: str) -> Path | None:
-    """Write a file; return where it went if it was there and said something else."""
+    """Write a file; return the file to which a different earlier content was moved, None if there was none."""
     before = path.with_name(f"{path.name}.before") if path.is_file() and path.read_bytes() != text.encode() else None
     if before is not None:
         write_file(before, path.read_bytes())
@@ -377,7 +393,7 @@ def replace_kept(path: Path, text: str) -> Path | None:
 def _warnings(
     kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitted], idle: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return what shows no flight, comes too seldom, and what the sensors' own observer does not see of messages."""
+    """Return warnings: recordings without flight, messages that are too rare, and sensors that the messages hide."""
     if not surveys:
         return ()
     own = (channel for fitted in observers if fitted.name == OBSERVER for channel in fitted.source.channels)
@@ -392,7 +408,7 @@ def _warnings(
 
 
 def _measured(fitted: Fitted, request: FitRequest, kind: str, gate: GateRule) -> Fitted:
-    """Return the observer with what it will detect, where its kind asks for it."""
+    """Return the observer with the sizes that it will detect, if it is to be measured."""
     if not fitted.measured:
         return fitted
     observer = replace(fitted.profile(), model=fitted.plant)

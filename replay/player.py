@@ -1,4 +1,4 @@
-"""Play a recording through a vehicle's pipeline and hand what comes out to whoever wants it."""
+"""Play a recording through a vehicle's pipeline and hand out the results."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """How one observer fared over a recording."""
+    """Statistics of one observer over a recording."""
 
     samples: int
     evidence: int  # samples from which alarms could be raised
     coasted: int  # samples without measurements, stepped by its model alone
     rate_hz: float
-    sampling: SamplerStatistics  # what became of its messages
+    sampling: SamplerStatistics  # statistics of its messages
 
     @property
     def watched_s(self) -> float:
@@ -46,29 +46,30 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """What a replay found."""
+    """Result of a replay."""
 
     events: tuple[AlarmEvent, ...] = ()  # in order
-    traces: tuple[Trace, ...] = ()  # estimates by observer; empty where they were not asked for
-    samples: int = 0  # samples the observers took
+    traces: tuple[Trace, ...] = ()  # estimates by observer; empty unless they were asked for
+    samples: int = 0  # samples of all observers
     evidence: int = 0  # samples among them from which alarms could be raised
-    watched_s: float = (
-        0.0  # time of the vehicle over which alarms could be raised, of the observer that watched longest
-    )
-    messages: int = 0  # messages of the recording that mattered
+    watched_s: float = 0.0  # vehicle time over which alarms could be raised, of the observer that watched longest
+    messages: int = 0  # messages of the recording that the pipeline read
     # alarm thresholds by observer and channel
     thresholds: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    # messages that the recording lacks, of each observer that therefore could watch nothing
+    # by observer, the messages that the recording lacks; such an observer could watch nothing
     lacking: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    watches: Mapping[str, Watch] = field(default_factory=dict)  # how each observer fared
+    watches: Mapping[str, Watch] = field(default_factory=dict)  # statistics by observer
     foreign: int = 0  # messages of other systems or components, which were left out
-    mismatch: str | None = None  # what says that the vehicle is another than the profile's; None where nothing does
-    # for how long, seconds, and how far the flight lay outside of those that were fitted, by observer
+    mismatch: str | None = None  # why the vehicle seems to be another than the profile's; None if nothing suggests that
+    # by observer, how long, in seconds, and how far the flight was outside of the fitted ones
     outside: Mapping[str, tuple[float, str]] = field(default_factory=dict)
-    conditions: tuple[FlightCondition, ...] = ()  # what was seen that is no fault, in its order
+    conditions: tuple[FlightCondition, ...] = ()  # observed conditions that are no faults, in their order
 
     def unwatched(self, end_ns: int) -> list[tuple[str, float]]:
-        """Return what of the flight was not watched, and for how long, seconds; the recording ends at ``end_ns``."""
+        """Return the reasons why nothing was watched, and for how long each, in seconds.
+
+        The recording ends at ``end_ns``.
+        """
         spans = [span for span in alarm_spans(self.events) if (span.observer, span.channel) == (OBSERVER, CHANNEL)]
         return [
             (span.history[0].message, max(0, (end_ns if span.end_ns is None else span.end_ns) - span.start_ns) / 1e9)
@@ -77,7 +78,7 @@ class Replay:
 
 
 def play(profile: Profile, messages: Iterable[Message], **options: Any) -> Replay:
-    """Run recorded messages through the pipeline: :func:`play_batches` of them."""
+    """Run recorded messages through the pipeline, as :func:`play_batches` does."""
     return play_batches(profile, packed(messages), **options)
 
 
@@ -94,13 +95,13 @@ def play_batches(
 ) -> Replay:
     """Run a recording through the pipeline.
 
-    The options are those of :func:`replay.api.replay`; ``trace_rows`` of each observer are kept at most, more are
-    thinned.
+    The options are those of :func:`replay.api.replay`. At most ``trace_rows`` estimates of each observer are kept;
+    longer traces are thinned.
 
     Raises
     ------
     OtherVehicleError
-        It says so, and nothing forces it; no file is left of ``record``.
+        The recording reports another vehicle, and ``force`` is not set; no file ``record`` is left.
     """
     pipeline = Pipeline(profile, vehicle, force=force)
     builders = {layout.observer: TraceBuilder(layout, trace_rows) for layout in pipeline.layouts} if keep_traces else {}
@@ -162,10 +163,10 @@ def play_batches(
 
 
 def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:
-    """Record what of a batch comes from the monitored vehicle, ahead of the pipeline's taking it."""
+    """Record the messages of a batch that come from the monitored vehicle, before the pipeline processes them."""
     place, known = 0, pipeline.system
     if not known:
-        # each message may be the one that says who it is
+        # each message may be the one that reveals the vehicle's system id
         for message in messages_of(batch):
             place += 1
             if pipeline.accepts(message):
@@ -176,7 +177,7 @@ def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:
     columns = tuple(group for group in rest.columns if pipeline.accepts(group))
     others = {at: message for at, message in rest.others.items() if pipeline.accepts(message)}
     recorder.batch(Batch(rest.count, columns, others))
-    # which vehicle it is the pipeline finds by itself: what came before its first channel is not its own
+    # the pipeline has to find the vehicle by itself: messages before its first channel do not belong to it
     pipeline.watch(known)
 
 
@@ -193,5 +194,5 @@ def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Archive:
 
 
 def interests(profile: Profile) -> frozenset[str]:
-    """Return the names of the messages a profile's pipeline reads; skipping all others changes no result."""
+    """Return the names of the messages that a profile's pipeline reads; skipping all others changes no result."""
     return Pipeline(profile).interests

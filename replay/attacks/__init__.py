@@ -1,1 +1,1 @@
-"""Faults and attacks of exact truth, put into recordings."""
+"""Faults and attacks, put into recordings with their exact truth."""

@@ -1,7 +1,7 @@
-"""Kinds of faults and attacks: what is asked for, checked, and what each does to the values of one quantity.
+"""Kinds of faults and attacks: their numbers, the checks of these numbers, and what each kind does to a quantity.
 
-A change is called with the time and value of each measurement, before, in and after the attack, because some kinds
-need to know what came before; what it returns counts only while the attack lasts.
+A change is called with the time and value of each measurement, before, during and after the attack, because some kinds
+need earlier values. Its result is used only while the attack lasts.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ AttackSignal = Callable[[int], float]
 Change = Callable[[int, float], float]
 
 DEFAULT_ACCELERATION = 0.5
-"""m/s^2. Chosen: gentler than any manoeuvre, so that what is seen is the spoof and not its start."""
+"""Largest acceleration of a spoof, m/s^2. Chosen: gentler than any manoeuvre, so that the spoof is detected and not its
+start."""
 _FLAGS = {"size": "--size", "rate": "--rate", "acceleration": "--accel", "source_ns": "--from"}
 
 
 class _KindRule(NamedTuple):
-    """What a kind does, in words, and which numbers it needs and allows."""
+    """Description of a kind, and the numbers that it needs and allows."""
 
     meaning: str
     needed: tuple[str, ...] = ()
@@ -52,29 +53,30 @@ _RULES: Mapping[AttackKind, _KindRule] = {
 
 @dataclass(frozen=True, slots=True)
 class Attack:
-    """One fault or attack; times are the vehicle's own, sizes in the channel's unit."""
+    """One fault or attack; times are on the vehicle's clock, sizes in the channel's unit."""
 
     channel: str  # channel of the contract, ``MESSAGE.field``, or fault of a profile's plant
     kind: AttackKind
     # it acts on measurements with start_ns <= stamp < end_ns, vehicle clock
     start_ns: int
     end_ns: int
-    # bias: offset; ramp: where it stops growing; scale: factor; noise: standard deviation; delay: seconds; drop: share
-    # of messages lost (1); loss: share of the command
+    # bias: offset; ramp: final size; scale: factor; noise: standard deviation; delay: seconds; drop: share of messages
+    # lost (1); loss: share of the command
     size: float | None = None
-    rate: float | None = None  # ramp: growth per second; spoof: final velocity, m/s; loss: growth per second (at once)
+    # ramp: growth per second; spoof: final velocity, m/s; loss: growth per second (default: at once)
+    rate: float | None = None
     acceleration: float | None = None  # spoof: largest acceleration, m/s^2
-    source_ns: int | None = None  # replay: where the segment begins that is repeated, up to ``start_ns``, over and over
-    seed: int = 0  # of noise and of lost messages
+    source_ns: int | None = None  # replay: begin of the segment that is repeated over and over; it ends at ``start_ns``
+    seed: int = 0  # seed of the noise and of the lost messages
 
     @property
     def magnitude(self) -> float | None:
-        """The one number that says how bad it is."""
+        """The one number that tells how severe it is."""
         return self.rate if self.kind in ("ramp", "spoof") else self.size
 
     @property
     def meaning(self) -> str:
-        """A sentence for people."""
+        """A sentence about it for people."""
         if self.kind == "loss" and self.size is not None and self.size < 0.0:
             return replace(self, size=-self.size, rate=self.rate and -self.rate).meaning.replace(" less ", " more ")
         growth = f", growing by {self.rate:g} per second" if self.kind == "loss" and self.rate else ""
@@ -82,7 +84,7 @@ class Attack:
         return _RULES[self.kind].meaning.format(size=self.size, rate=self.rate) + growth + bound
 
     def check(self) -> None:
-        """Raise UsageError where what the kind needs is not there, makes no sense, or something else is there."""
+        """Raise UsageError if a number is missing, makes no sense, or does not belong to the kind."""
         if self.kind not in ATTACK_KINDS:
             raise UsageError(f"--kind {self.kind}: no such kind; use one of {', '.join(ATTACK_KINDS)}")
         rule = _RULES[self.kind]
@@ -112,11 +114,11 @@ class Attack:
             raise UsageError("--from is not before --start; only what was recorded earlier can be replayed")
 
     def acts(self, stamp_ns: int) -> bool:
-        """Return whether it acts at a time."""
+        """Return whether the attack acts at a time."""
         return self.start_ns <= stamp_ns < self.end_ns
 
     def growth(self, stamp_ns: int) -> float:
-        """Return the size of a step, a ramp or a growing loss at a time (s), zero while it does not act."""
+        """Return the size of a step, a ramp or a growing loss at a time, zero while it does not act."""
         if not self.acts(stamp_ns):
             return 0.0
         if self.rate is None:
@@ -125,9 +127,9 @@ class Attack:
         return grown if self.size is None or abs(grown) < abs(self.size) else self.size
 
     def sizes(self, stamps_ns: Iterable[int]) -> NDArray[np.float64] | None:
-        """Return its size at times (n,), of a spoof the position's, zero while it does not act.
+        """Return the attack's size at times (n,), for a spoof that of the position; zero while it does not act.
 
-        None where the kind has no size that follows from time alone.
+        Return None if the kind's size depends on more than time.
         """
         if self.kind not in ("bias", "ramp", "loss", "spoof"):
             return None
@@ -135,7 +137,7 @@ class Attack:
         return np.array([size(stamp_ns) if self.acts(stamp_ns) else 0.0 for stamp_ns in stamps_ns])
 
     def additive(self) -> AttackSignal | None:
-        """Return what is added at a time where the kind adds something that depends on time alone, else None."""
+        """Return the signal that the attack adds, if it adds one that depends on time alone, else None."""
         if self.kind in ("bias", "ramp"):
             return self.growth
         if self.kind == "noise":
@@ -144,7 +146,7 @@ class Attack:
         return None
 
     def lost(self, stamp_ns: int) -> bool:
-        """Return whether a message of this time is among those that are dropped."""
+        """Return whether a message with this stamp is dropped."""
         share = 1.0 if self.size is None else self.size
         return self.acts(stamp_ns) and float(_generator(self.seed, stamp_ns).random()) < share
 
@@ -170,9 +172,11 @@ class Attack:
         return position, velocity
 
     def change(self, from_home: bool) -> Change:
-        """Return a new change of one quantity; ``from_home``: its scale counts from its first value.
+        """Return a new change of one quantity.
 
-        Raises UsageError where the kind changes no single value.
+        With ``from_home``, a scale factor acts on the difference from the first value.
+
+        Raises UsageError if the kind does not change single values.
         """
         added = self.additive()
         if added is not None:
@@ -191,7 +195,7 @@ class Attack:
 
 
 def _scaled(factor: float, from_home: bool) -> Change:
-    """Return the change that multiplies, about zero or about the first value."""
+    """Return the change that scales a value's difference from zero or, with ``from_home``, from the first value."""
     home = None if from_home else 0.0
 
     def change(_: int, value: float) -> float:
@@ -203,10 +207,9 @@ def _scaled(factor: float, from_home: bool) -> Change:
 
 
 def _past(time: Callable[[int], int], until_ns: int) -> Change:
-    """Return the change that shows the value measured closest to another time: in step with the clock, jitter or not.
+    """Return the change that shows the value measured closest to another time, so that jitter does not matter.
 
-    ``time`` returns the time whose value is shown at a time. Values from ``until_ns`` on are not kept; the first one
-    always is.
+    ``time`` returns that other time for each stamp. Values from ``until_ns`` on are not kept; the first one always is.
     """
     stamps: list[int] = []
     values: list[float] = []
@@ -226,5 +229,5 @@ def _past(time: Callable[[int], int], until_ns: int) -> Change:
 
 
 def _generator(seed: int, stamp_ns: int) -> np.random.Generator:
-    """Return random numbers that belong to a millisecond: all messages that show a measurement get the same ones."""
+    """Return the random numbers of a millisecond: all messages that show one measurement get the same ones."""
     return np.random.default_rng((seed, max(0, stamp_ns) // 1_000_000))

@@ -1,4 +1,4 @@
-"""``fauio inject``: a recording with one more fault or attack in it, and the truth about it beside it."""
+"""``fauio inject``: write a recording with one more fault or attack in it, and the truth about that beside it."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ AttackTrack = Callable[[Iterable[Message], str], Iterable[Message]]
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What a user asks for; seconds count from the first stamp of the vehicle in the recording."""
+    """Request of a user; seconds count from the first stamp of the vehicle in the recording."""
 
-    attack: Attack  # without its times
-    start_s: float | None = None  # when it begins; None where ``at_ms`` says it
-    at_ms: int | None = None  # when it begins, milliseconds of the vehicle's own clock
-    end_s: float | None = None  # when it ends; None: ``duration_s`` after its beginning, or with the recording
-    duration_s: float | None = None  # how long it lasts
-    source_s: float | None = None  # where the segment begins that is replayed
-    system: int = 0  # the vehicle's MAVLink system; 0 takes the profile's, or the first one that sends the channel
+    attack: Attack  # the attack, without its times
+    start_s: float | None = None  # begin; None if ``at_ms`` gives it
+    at_ms: int | None = None  # begin, milliseconds on the vehicle's clock
+    end_s: float | None = None  # end; None: ``duration_s`` after the begin, or the recording's end
+    duration_s: float | None = None  # duration
+    source_s: float | None = None  # begin of the segment that is replayed
+    system: int = 0  # the vehicle's MAVLink system; 0: the profile's, or the first one that sends the channel
 
 
 def inject_recording(
@@ -46,8 +46,8 @@ def inject_recording(
 ) -> dict[str, Any]:
     """Write a recording with a fault or attack to MCAP, and the truth to ``OUT.truth.json`` and into its metadata.
 
-    What was injected into it before stays known. Faults of actuators need a profile's folder. Return the truth as it is
-    written.
+    Faults injected earlier are kept in the truth. Faults of actuators need a profile's folder. Return the written
+    truth.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def inject_recording(
     if out.resolve() == log.resolve():
         raise StorageError(f"{out}: is the recording itself; write to another file")
     check_suffix(out, ".mcap")
-    # before everything that is replayed
+    # before all messages that are replayed
     draft = replace(order.attack, start_ns=0, end_ns=1 << 63, source_ns=None if order.source_s is None else -1)
     draft.check()
     known = read_profile(profile) if profile is not None else None
@@ -93,14 +93,14 @@ def inject_recording(
 
 
 def truth_path(out: Path) -> Path:
-    """Return the file with the truth about an injected recording."""
+    """Return the file that holds the truth about an injected recording."""
     return out.with_suffix(".truth.json")
 
 
 def choose_system(senders: Mapping[int, Senders], made: Plan, order: Order, log: Path) -> int:
-    """Return the vehicle to attack: the one asked for, else the first that sends what is attacked.
+    """Return the vehicle to attack: the requested one, else the first that sends the attacked channel.
 
-    Raises UsageError where none does.
+    Raises UsageError if no vehicle sends it.
     """
     wanted = sorted(made.messages)
     able = [number for number, sender in senders.items() if sender.names & made.messages]
@@ -150,7 +150,10 @@ def _truth(log: Path, sender: Senders, faults: list[dict[str, Any]]) -> dict[str
 
 
 def _earlier(log: Path) -> list[dict[str, Any]]:
-    """Return the faults that are known to be in an MCAP file already; raise TelemetryError where they are damaged."""
+    """Return the faults that an MCAP file is known to hold already.
+
+    Raise TelemetryError if these entries are damaged.
+    """
     text = read_mcap_metadata(log).get(TRUTH, {}).get("json")
     try:
         return list(json.loads(text)["faults"]) if text else []
@@ -162,11 +165,11 @@ Courses = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 
 def known_truth(log: Path, traces: Sequence[Trace]) -> Courses:
-    """Return by fault channel times (s, vehicle's clock) and true sizes of what ``fauio inject`` put on a recording.
+    """Return, by fault channel, times (s, vehicle's clock) and true sizes of the faults in an injected recording.
 
-    Kinds whose size follows from time alone are known: bias, ramp, spoof, and the loss of an actuator, in units of its
-    command. Several on one channel add up. A recording that says nothing readable of it has none. The observers'
-    samples say on which channels and at which times.
+    Only the kinds whose size depends on time alone are known: bias, ramp, spoof, and the loss of an actuator, in units
+    of its command. Several faults of one channel add up. The result is empty if the recording has no readable entries
+    about faults. The observers' traces give the channels and the times.
     """
     courses: Courses = {}
     for fault in _faults(log):
@@ -196,9 +199,9 @@ def _faults(log: Path) -> list[Mapping[str, Any]]:
 
 
 def _course(fault: Mapping[str, Any], channel: str, trace: Trace) -> NDArray[np.float64] | None:
-    """Return the size of a fault at a trace's samples (N,), None where the kind has none."""
+    """Return the size of a fault at a trace's samples (N,), None if the kind has none."""
     numbers = fault["numbers"]
-    # the last message that was altered is the end
+    # the attack ends with the last altered message
     attack = Attack(
         channel,
         fault["kind"],

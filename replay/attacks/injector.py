@@ -1,4 +1,4 @@
-"""Puts one fault or attack onto a recording, message by message, and remembers exactly what it altered."""
+"""Put one fault or attack onto a recording, message by message, and note exactly what was altered."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from replay.attacks.plant_response import PlantResponse, States, find_fault, out
 
 _MALFORMED = (KeyError, TypeError, ValueError, OverflowError)
 WITHOUT_PAST = ("loss", "bias", "ramp", "noise")
-"""Kinds to which nothing matters that was measured before they begin."""
+"""Kinds that do not depend on earlier measurements."""
 
 
 class VehicleTime:
-    """Gives messages of one vehicle their time on its clock: their own stamp, or the newest one where they have none.
+    """Determines the time of one vehicle's messages on its clock: their own stamp, else the newest stamp so far.
 
-    ``clocks`` holds by message a channel that knows which field is its clock, where the name does not tell.
+    ``clocks`` holds, by message, a channel that names the message's clock field, if the field's name does not show it.
     """
 
     def __init__(self, clocks: Mapping[str, Channel]) -> None:
@@ -45,7 +45,7 @@ class VehicleTime:
 
 @dataclass(slots=True)
 class Senders:
-    """What one vehicle of a recording sends."""
+    """Messages of one vehicle of a recording."""
 
     names: set[str]
     # first and newest time on its clock
@@ -54,7 +54,7 @@ class Senders:
 
 
 def survey_senders(messages: Iterable[Message], clocks: Mapping[str, Channel]) -> dict[int, Senders]:
-    """Go through a recording once; return what each system sends and when."""
+    """Read a recording once; return which messages each system sends and when."""
     senders: dict[int, tuple[Senders, VehicleTime]] = {}
     for message in messages:
         if message.system not in senders:
@@ -77,7 +77,7 @@ def profile_clocks(profile: Profile | None) -> dict[str, Channel]:
 
 @dataclass(frozen=True, slots=True)
 class AttackTarget:
-    """A quantity that is altered, how, and whether that ends with the attack or outlasts it."""
+    """An altered quantity, how it is altered, and whether its alteration continues after the attack."""
 
     quantity: Quantity
     change: Change
@@ -86,24 +86,24 @@ class AttackTarget:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All that one attack alters."""
+    """Everything that one attack alters."""
 
-    targets: tuple[AttackTarget, ...]  # quantities to alter; the messages to lose where the kind is ``drop``
-    response: PlantResponse | None = None  # the plant's answer, where there is one
+    targets: tuple[AttackTarget, ...]  # quantities to alter; for the kind ``drop`` the messages to lose
+    response: PlantResponse | None = None  # response of the plant, if the attack has one
     unit: str = ""  # unit of the attack's size
 
     @property
     def messages(self) -> frozenset[str]:
-        """Names of the messages that may be altered."""
+        """Names of the messages that the attack may alter."""
         return frozenset(target.quantity.message for target in self.targets)
 
 
 def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, states: States | None = None) -> Plan:
-    """Find out what an attack, which is checked, has to alter.
+    """Determine what a checked attack has to alter.
 
-    ``names`` are the messages of the recording, to tell ``MESSAGE`` from ``field``. The profile gives the plant for
-    faults of actuators, and its own names of channels; ``states`` along the recording are needed for those of nonlinear
-    plants. Raises UsageError where the channel is unknown, or the kind does not go with it.
+    ``names`` are the messages of the recording, to distinguish ``MESSAGE`` from ``field``. The profile provides the
+    plant for faults of actuators, and names of channels. A nonlinear plant also needs its ``states`` along the
+    recording. Raises UsageError if the channel is unknown, or the kind does not go with it.
     """
     attack.check()
     channel, known = attack.channel, frozenset(names)
@@ -124,7 +124,10 @@ def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, s
 
 
 def _field(channel: str, names: frozenset[str], clocks: Mapping[str, Channel]) -> Channel | None:
-    """Return the channel that ``MESSAGE.field`` means; a Zenoh key may hold dots itself, so the longest name wins."""
+    """Return the channel that ``MESSAGE.field`` means.
+
+    A Zenoh key may hold dots itself, so the longest matching name wins.
+    """
     places = [place for place, letter in enumerate(channel) if letter == "." and channel[:place] in names]
     if not places or places[-1] == len(channel) - 1:
         return None
@@ -161,7 +164,7 @@ def _instrument_plan(attack: Attack, quantities: Iterable[Quantity]) -> Plan:
 
 
 def _plant_plan(attack: Attack, observer: ObserverProfile, plant: Plant, fault: Fault, states: States | None) -> Plan:
-    """Return what a fault of a profile's plant alters: the outputs that it moves, and the command that answers it."""
+    """Return what a fault of a profile's plant alters: the outputs that it moves, and the autopilot's command."""
     channel, kind = attack.channel, attack.kind
     response, targets = None, list[AttackTarget]()
     if fault.kind == "sensor":
@@ -198,7 +201,7 @@ def _plus(signal: AttackSignal, factor: float = 1.0) -> Change:
 
 
 class Injector:
-    """State of one attack on the messages of one vehicle, MAVLink ``system``, 0 for telemetry without ids.
+    """State of one attack on the messages of one vehicle: MAVLink ``system``, or 0 for telemetry without ids.
 
     ``altered`` counts the messages altered or dropped so far; ``clocks`` are those of :class:`VehicleTime`.
     """
@@ -218,7 +221,7 @@ class Injector:
         self._last_ns: int | None = None
 
     def feed(self, message: Message) -> Message | None:
-        """Take a message of the recording; return it, altered where the attack alters it, None where it is lost."""
+        """Process a message of the recording; return it, altered if the attack alters it, or None if it is lost."""
         if message.system != self._system:
             return message
         stamp_ns = self._time.stamp(message)
@@ -262,10 +265,10 @@ class Injector:
         self._last_ns = stamp_ns if self._last_ns is None else max(self._last_ns, stamp_ns)
 
     def truth(self) -> dict[str, Any]:
-        """Return what was done, as one entry of ``faults``; ``numbers`` are what its course is made of.
+        """Return the truth about the attack, as one entry of ``faults``; ``numbers`` determine its course over time.
 
-        ``on`` and ``off`` are the vehicle's time at the first and the last altered (or lost) message; of an
-        actuator, the first and the last command behind which it was at fault: its outputs answer later and longer.
+        ``on`` and ``off`` are the vehicle's time at the first and the last altered (or lost) message. For an actuator
+        they are the first and the last command during its fault; its outputs respond later and longer.
         """
         attack, response = self._attack, self._response
         span = (self._first_ns, self._last_ns) if response is None else (response.first_ns, response.last_ns)
@@ -285,7 +288,7 @@ class Injector:
 
 
 def inject(messages: Iterable[Message], injector: Injector) -> Iterator[Message]:
-    """Yield the messages of a recording with the injector's attack on them."""
+    """Yield the messages of a recording, altered by the injector's attack."""
     for message in messages:
         altered = injector.feed(message)
         if altered is not None:

@@ -1,9 +1,9 @@
-"""Where each sensor channel of the contract is in MAVLink messages, and how another value is written there.
+"""The MAVLink fields of each sensor channel of the contract, and how to write another value there.
 
-A quantity is one physical value in one message: ``read`` gives it in the channel's unit, ``write`` returns the
-message's fields with another value. One channel has as many quantities as messages carry it, so that a changed sensor
-tells the same in all of them. A position counts in metres from latitude and longitude 0 along a plane that touches
-the ellipsoid (WGS-84) at the first fix, a pressure as altitude in the standard atmosphere.
+A quantity is one physical value in one message: ``read`` returns it in the channel's unit, ``write`` returns the
+message's fields with another value. A channel has a quantity for each message that carries it, so that an altered
+sensor shows the same value in all of them. A position is in metres from latitude and longitude 0 along a plane that
+touches the ellipsoid (WGS-84) at the first fix; a pressure is an altitude in the standard atmosphere.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _WGS84_A, _WGS84_E2 = 6_378_137.0, 6.694_379_990_14e-3
 _SEA_LEVEL_HPA, _ISA_SCALE_M, _ISA_EXPONENT = 1013.25, 44_330.77, 0.190_263
 """Of the international standard atmosphere: T_0 / L = 288.15 K / 6.5 K/km, R L / g."""
 _UNKNOWN_U16 = 65535
-"""UINT16_MAX: MAVLink for a speed or a course that is not known."""
+"""UINT16_MAX: MAVLink's value for an unknown speed or course."""
 _DEGE7 = 1e-7
-"""Degrees in MAVLink's unit of latitude and longitude."""
+"""Degrees per unit of MAVLink's latitude and longitude."""
 
 
 @dataclass(slots=True)
 class AttackScene:
-    """What the other messages say that reading a compass or a position needs."""
+    """Values of other messages that are needed to read a compass or a position."""
 
     # newest attitude, radians
     roll: float = 0.0
@@ -38,7 +38,7 @@ class AttackScene:
     metres: tuple[float, float] | None = None
 
     def feed(self, message: Message) -> None:
-        """Take a message of the vehicle."""
+        """Process a message of the vehicle."""
         if message.name == "ATTITUDE":
             self.roll, self.pitch = float(message.fields["roll"]), float(message.fields["pitch"])
         elif message.name == "GPS_RAW_INT" and self.metres is None and _has_fix(message.fields):
@@ -50,18 +50,19 @@ class Quantity:
     """One physical value in one message."""
 
     message: str
-    # its value in the channel's unit; None where the message does not hold one
+    # its value in the channel's unit; None if the message does not hold one
     read: Callable[[MessageFields, AttackScene], float | None]
-    # all fields of the message with another value there
+    # all fields of the message, with another value there
     write: Callable[[MessageFields, float, AttackScene], dict[str, Any]]
-    path: tuple[str | int, ...] = field(default=())  # where it is, if it is a plain field
+    path: tuple[str | int, ...] = field(default=())  # path of the field, if it is a plain field
     scale: float = 1.0  # channel's unit per count of that field
-    from_home: bool = False  # whether its zero means nothing, so that a scale factor counts from the first value
+    # whether its zero is arbitrary, so that a scale factor acts on the difference from the first value
+    from_home: bool = False
     circular: bool = False  # whether it is an angle that wraps
 
 
 def channel_quantity(channel: Channel, from_home: bool = False) -> Quantity:
-    """Return the quantity of a mapped channel; a whole number in the message stays one."""
+    """Return the quantity of a mapped channel; an integer in the message stays an integer."""
 
     def read(fields: MessageFields, _: AttackScene) -> float | None:
         return channel.value(fields) if channel.selects(fields) else None
@@ -76,7 +77,7 @@ def channel_quantity(channel: Channel, from_home: bool = False) -> Quantity:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit of a channel of the contract, nothing for any other."""
+    """Return the unit of a channel of the contract, empty for any other."""
     return UNITS.get(name, UNITS.get(name.rpartition("_")[0], ""))
 
 
@@ -102,7 +103,7 @@ def pressure_altitude(pressure_hpa: float) -> float:
 
 
 def altitude_pressure(altitude: float) -> float:
-    """Return the pressure in the standard atmosphere, hPa; zero above where it ends."""
+    """Return the pressure in the standard atmosphere, hPa; zero above the atmosphere's end."""
     return float(_SEA_LEVEL_HPA * max(0.0, 1.0 - altitude / _ISA_SCALE_M) ** (1.0 / _ISA_EXPONENT))
 
 
@@ -120,7 +121,7 @@ def _plain(message: str, name: str, scale: float = 1.0, from_home: bool = False)
 
 
 def _imu(letter: str, what: str, scaled: float) -> list[Quantity]:
-    """Return one axis in the three messages that show it, the last two in other units."""
+    """Return one axis in the three messages that show it; two of them use other units."""
     name = letter + what
     return [_plain("HIGHRES_IMU", name), _plain("SCALED_IMU", name, scaled), _plain("RAW_IMU", name, scaled)]
 
@@ -189,7 +190,10 @@ def _pressure(message: str, name: str) -> Quantity:
 
 
 def _compass(message: str) -> Quantity:
-    """Heading of the levelled field; the field is turned about the vertical as if the vehicle pointed elsewhere."""
+    """Return the heading of the levelled field.
+
+    To write it, turn the field about the vertical by the difference in heading.
+    """
 
     def read(fields: MessageFields, scene: AttackScene) -> float | None:
         x, y, z = fields["xmag"], fields["ymag"], fields["zmag"]
@@ -214,12 +218,12 @@ def _compass(message: str) -> Quantity:
 
 
 def _down(scene: AttackScene) -> tuple[float, float, float]:
-    """Return the downward vertical in body axes."""
+    """Return the unit vector downwards in body axes."""
     return (-sin(scene.pitch), sin(scene.roll) * cos(scene.pitch), cos(scene.roll) * cos(scene.pitch))
 
 
 def _turned(vector: Sequence[float], axis: Sequence[float], angle: float) -> list[float]:
-    """Return a vector turned about a unit axis (Rodrigues' formula)."""
+    """Return a vector rotated about a unit axis (Rodrigues' formula)."""
     (x, y, z), (a, b, c) = vector, axis
     along = (1.0 - cos(angle)) * (a * x + b * y + c * z)
     cross = (b * z - c * y, c * x - a * z, a * y - b * x)
@@ -268,4 +272,4 @@ UNITS: Mapping[str, str] = {
 """Units of the channels, by their names without the axis."""
 
 SPOOFED: Mapping[str, str] = {"gps_north": "gps_velocity_north", "gps_east": "gps_velocity_east"}
-"""Positions of the GPS and the velocities that have to move with them."""
+"""Positions of the GPS and the velocities that have to change with them."""

@@ -1,23 +1,23 @@
-"""How a plant's outputs answer a fault of an actuator: what an injected loss has to add to recorded measurements.
+"""The response of a plant's outputs to a fault of an actuator, which an injected loss adds to recorded measurements.
 
 With the plant in discrete time, the deviation from the recorded flight obeys
 
     dx(k+1) = A dx(k) + E f(k),   dy(k) = C dx(k),   f(k) = sum_d h_d phi(k-d),
 
 where a loss l of an actuator with the command u and the static curve v(u) has phi = v((1 - l) u) - v(u), as if its
-command were multiplied by 1 - l behind the recorded one; other faults have phi = f. That is exact for what an observer
-of a linear plant sees, whatever the commands are. Nonlinearities add G (g(H (x + dx)) - g(H x)) to dx(k+1), as good as
-the state x is known along the recording.
+command were multiplied by 1 - l after it was recorded; other faults have phi = f. For the observer of a linear plant
+this is exact, whatever the commands are. Nonlinearities add G (g(H (x + dx)) - g(H x)) to dx(k+1), as accurately as the
+state x is known along the recording.
 
-An autopilot holds the vehicle against a loss: it commands more until the motor delivers what the flight needs. Without
-that the rates of a multirotor would grow to turns per second, and neither attitude nor velocity would fit them. So of
-an output of an autopilot (SERVO_OUTPUT_RAW) the command is what changes: u' = u / (1 - l), at most full command, and
+An autopilot compensates a loss: it commands more until the motor delivers the thrust that the flight needs. Without
+that, the rates of a multirotor would grow to turns per second, and neither attitude nor velocity would fit them. So for
+an output of an autopilot (SERVO_OUTPUT_RAW) the command changes: u' = u / (1 - l), at most full command, and
 
     phi = v((1 - l) u') - v(u)
 
 is zero unless the command is at its limit: motion and all measurements stay as recorded and fit each other. The
-autopilot is taken to answer at once; that of a real one lags, and the rates move meanwhile. Commands of other plants
-stay as recorded.
+autopilot is assumed to answer at once; a real one lags, and the rates change meanwhile. Commands of other plants stay
+as recorded.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from monitor.profile import ObserverProfile, Profile
 from replay.attacks.attack import AttackSignal
 
 _MAX_STEPS = 2000
-"""Chosen: after 20 s at 100 Hz without a sample the response begins anew, as observers do."""
+"""Longest time without a sample, ticks. Chosen: after 20 s at 100 Hz the response restarts, as observers do."""
 _AUTOPILOT_OUTPUT = "SERVO_OUTPUT_RAW"
 _FULL_COMMAND = 1.0
-"""Commands are fractions of full throw."""
+"""Largest command: commands are fractions of full throw."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +54,7 @@ class States:
     x: NDArray[np.float64]  # state at each time (N, n)
 
     def at(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Return the newest state by a time, the first one before it."""
+        """Return the newest state at a time; before the first one, the first."""
         row = int(np.searchsorted(self.times_ns, stamp_ns, side="right")) - 1
         return np.asarray(self.x[max(row, 0)])
 
@@ -62,10 +62,10 @@ class States:
 class PlantResponse:
     """State of the deviation of a discrete plant with an actuator fault.
 
-    ``inputs`` say where the commands come from, ``size`` is the loss or fault over time (vehicle nanoseconds). The
+    ``inputs`` are the channels of the commands, ``size`` is the loss or fault over time (vehicle nanoseconds). The
     deviation of a nonlinear plant depends on the states along the recording; without them its nonlinearities are left
-    out. ``command`` is where the autopilot's answer is, None where nobody answers; ``first_ns`` and ``last_ns`` are
-    the stamps of the first and the last command behind which the fault acted.
+    out. ``command`` is the channel of the autopilot's answer, None if no autopilot answers; ``first_ns`` and
+    ``last_ns`` are the stamps of the first and the last command during the fault.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class PlantResponse:
         self._effects = deque([0.0] * len(self._taps), maxlen=len(self._taps))
 
     def feed(self, message: Message, stamp_ns: int) -> None:
-        """Take a message of the vehicle."""
+        """Process a message of the vehicle."""
         channel = self._channel
         if channel is None:
             if self._size(stamp_ns):
@@ -112,7 +112,7 @@ class PlantResponse:
                     self._mark(stamp_ns)
 
     def answer(self, stamp_ns: int, u: float) -> float:
-        """Return what the autopilot commands at a time in place of a recorded command."""
+        """Return the command with which the autopilot replaces a recorded one."""
         size = self._size(stamp_ns)
         if self.command is None or not size or u <= 0.0:
             return u
@@ -120,7 +120,7 @@ class PlantResponse:
         return most if size >= 1.0 else min(u / (1.0 - size), most)
 
     def at(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Return the deviation of the outputs (p,) at a time, a straight line between two samples."""
+        """Return the deviation of the outputs (p,) at a time, interpolated between two samples."""
         place = stamp_ns / self._step_ns
         tick = int(place // 1)
         if abs(tick - self._tick) > _MAX_STEPS:
@@ -131,7 +131,7 @@ class PlantResponse:
         return np.asarray(self._C @ (self._before + ahead * (self._after - self._before)))
 
     def _advance(self) -> None:
-        """Go on by one sample."""
+        """Advance by one sample."""
         self._effects.appendleft(self._effect(round(self._tick * self._step_ns)))
         self._before = self._after
         self._after = self._A @ self._before + self._column * float(self._taps @ np.array(self._effects))
@@ -172,7 +172,7 @@ def find_fault(profile: Profile, channel: str) -> tuple[ObserverProfile, Plant, 
 def output_signals(
     plant: Plant, fault: Fault, response: Callable[[int], NDArray[np.float64]]
 ) -> list[tuple[str, AttackSignal]]:
-    """Return the outputs that a fault moves and by how much over time, given its response of all outputs."""
+    """Return the outputs that a fault moves and their deviation over time, given the response of all outputs."""
     if fault.kind == "sensor":
         moved = fault.column != 0.0
     else:

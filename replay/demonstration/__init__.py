@@ -1,1 +1,1 @@
-"""`fauio demo`: the whole path on an embedded default."""
+"""`fauio demo`: the whole path with a built-in example."""

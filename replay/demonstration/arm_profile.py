@@ -1,4 +1,4 @@
-"""The profile of the reference plant: the arm's built-in model, its gains, thresholds from a healthy simulation."""
+"""The profile of the reference plant: the arm's built-in model, its gains, and thresholds from a healthy simulation."""
 
 from __future__ import annotations
 
@@ -35,28 +35,28 @@ from monitor.sampling.transform import SampleSource
 OBSERVER = "arm"
 MODEL = "arm-disturbed"
 RATE_HZ = 100.0
-"""What the paper's example is recomputed at (docs/paper.md)."""
+"""Samples per second at which the paper's example is recomputed (docs/paper.md)."""
 
 _FAULT_RATE = 20.0
-"""Per second. Chosen: with it the errors on the paper's cases are below the paper's at 100 Hz."""
+"""Largest rate of the faults, per second. Chosen: with it the errors on the paper's cases are below the paper's at 100
+Hz."""
 _GAIN_WEIGHT = 1e-4
-"""Measured on the paper's cases (errors of f_s): .0080 at 1e-6, .0073 at 1e-5, .0069 here, .0073 at 1e-3; f_a is the
-same within 6 %.
-"""
+"""Weight of the gains. Measured on the paper's cases (errors of f_s): .0080 at 1e-6, .0073 at 1e-5, .0069 here, .0073
+at 1e-3; f_a is the same within 6 %."""
 _MESSAGE = "DEBUG_FLOAT_ARRAY"
 _ARM = (("name", "arm"),)
 _HEALTHY_S = 30.0
-"""Of each torque, to learn thresholds from. Chosen: several turns of its slowest part, .5 rad/s."""
+"""Simulated time of each torque for the thresholds, seconds. Chosen: several periods of its slowest part, .5 rad/s."""
 _SMOOTHING_S = 0.02
-"""Two samples: the paper's faults jump, and so does the estimate."""
+"""Smoothing of the estimates, seconds: two samples, since the paper's faults jump, and so does the estimate."""
 _RAISE_S = 0.05
-"""Chosen: five samples."""
+"""Debounce before an alarm is raised, seconds. Chosen: five samples."""
 _CLEAR_S = 0.2
-"""Chosen: longer than the zero crossings of the paper's sines."""
+"""Debounce before an alarm is cleared, seconds. Chosen: longer than the zero crossings of the paper's sines."""
 _MARGIN = 2.0
-"""Over the largest healthy evidence. Chosen: the simulation repeats itself, rare events are none."""
+"""Threshold over the largest healthy evidence. Chosen: the simulation repeats itself, so it has no rare events."""
 _GATE = GateRule(require_armed=False, require_airborne=False, settle_s=1.0)
-"""An arm neither is armed nor flies."""
+"""Gate: an arm is neither armed nor airborne."""
 
 
 def write_arm_profile(folder: Path) -> Profile:

@@ -1,8 +1,8 @@
-"""The whole path on an embedded default, with real processes: sender -> MAVLink UDP -> daemon -> Zenoh -> subscriber.
+"""The whole path with a built-in example and real processes: sender -> MAVLink UDP -> daemon -> Zenoh -> subscriber.
 
-The demonstration starts ``fauio run`` as a user would, subscribes to its alarms from this process, lets another process
-send a simulated or recorded vehicle over UDP, compares what is announced with the injected truth, and in the end
-replays the daemon's own recording for the plots.
+The demonstration starts ``fauio run`` as a user would and subscribes to its alarms. Another process sends a simulated
+or recorded vehicle over UDP. The demonstration compares the alarms with the injected truth, and at the end replays the
+daemon's own recording for the plots.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 class Truth:
     """One injected fault."""
 
-    channel: str  # the fault channel it should show up on
-    # when it acts, seconds of the vehicle's clock
+    channel: str  # the fault channel on which it should be detected
+    # when it acts, seconds on the vehicle's clock
     start_s: float
     stop_s: float
     signal: Callable[[float], float]  # its size over time
@@ -64,18 +64,19 @@ class Truth:
 _CLIPS = "clips"
 _DATA = Path(__file__).parent.parent / "data"
 _START_TIMEOUT_S = 30.0
-"""Chosen: ten times what a cold start takes on a desktop, for small boards."""
+"""Longest wait for the daemon's start, seconds. Chosen: ten times a cold start on a desktop, for small boards."""
 _LAST_EVENTS_S = 1.0
-"""Chosen: for events that are on their way when the flight ends; they need milliseconds."""
+"""Wait for events that are on their way when the flight ends, seconds. Chosen: they need milliseconds."""
 _PAGE_S = 30.0
-"""Chosen: the time to open a page on another machine through a tunnel; the flight begins without one then."""
+"""Longest wait for a browser, seconds. Chosen: the time to open a page on another machine through a tunnel; then the
+flight begins without one."""
 _STOP_TIMEOUT_S = 10.0
-"""Chosen: the daemon closes its files within a second or hangs."""
+"""Longest wait for the daemon's end, seconds. Chosen: the daemon closes its files within a second or hangs."""
 
 
 @dataclass(frozen=True, slots=True)
 class DemoScene:
-    """What is demonstrated."""
+    """One scene to demonstrate."""
 
     title: str  # one sentence for the user
     profile: Path
@@ -84,7 +85,7 @@ class DemoScene:
 
 
 def demo(vehicle: str, out: Path, speed: float | None, console: bool = False) -> int:
-    """Run the demonstration and return the exit status: 0 where every injected fault was announced, else 1.
+    """Run the demonstration and return the exit status: 0 if every injected fault raised its alarm, else 1.
 
     With ``console`` a web page shows it, until it is interrupted.
     """
@@ -137,7 +138,7 @@ def _copter_scene() -> DemoScene:
 
 
 def _monitor_config(out: Path) -> Path:
-    """Return a configuration with which the page can command and offer clips."""
+    """Return the path of a configuration that allows the page to send commands and to offer clips."""
     (out / _CLIPS).mkdir(exist_ok=True)
     verbs = ", ".join(f'"{verb}"' for verb in VERBS)
     config = out / "monitor.toml"
@@ -146,7 +147,7 @@ def _monitor_config(out: Path) -> Path:
 
 
 def _run_live(scene: DemoScene, record: Path, speed: float, config: Path | None) -> list[AlarmEvent]:
-    """Run daemon, sender and subscriber, with a configuration also the console; return the events that came."""
+    """Run daemon, sender and subscriber, and the console if there is a configuration; return the received events."""
     udp, endpoint = (
         f"127.0.0.1:{_free_port(socket.SOCK_DGRAM)}",
         f"tcp/127.0.0.1:{_free_port(socket.SOCK_STREAM)}",
@@ -181,7 +182,7 @@ def _run_live(scene: DemoScene, record: Path, speed: float, config: Path | None)
 
 @contextlib.contextmanager
 def _page(session: zenoh.Session, out: Path, signals: Sequence[int]) -> Iterator[None]:
-    """Serve the console, and wait until somebody looks."""
+    """Serve the console, and wait until somebody opens it."""
     from monitor.console.web_server import ConsoleOptions, ConsoleServer
 
     options = ConsoleOptions(commands=True, clips=out / _CLIPS)
@@ -213,9 +214,9 @@ def _wait_for_monitor(subscriber: AlarmSubscriber, daemon: subprocess.Popen[str]
 def _watch(
     scene: DemoScene, subscriber: AlarmSubscriber, sender_command: Sequence[str], signals: Sequence[int] | None
 ) -> list[AlarmEvent]:
-    """Start the sender and collect events until a second after it has finished, and, with a page, until a signal."""
+    """Start the sender and collect events until a second after its end and, if there is a page, until a signal."""
     events: list[AlarmEvent] = []
-    # out of reach of a Ctrl-C, which is for us
+    # in a session of its own: Ctrl-C is for this process alone
     sender = subprocess.Popen(sender_command, stdout=subprocess.DEVNULL, process_group=0)  # noqa: S603 - as above
     try:
         until: float | None = None
@@ -270,7 +271,7 @@ def _report(scene: DemoScene, events: Sequence[AlarmEvent], replayed: Replay, ou
 
 
 def _true_course(truth: Truth, trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return times (s) and true sizes in the unit of the estimate."""
+    """Return times (s) and true sizes in the unit of the estimates."""
     times_s = trace.vehicle_ns / 1e9
     size = np.array([truth.at(time_s) for time_s in times_s.tolist()])
     if truth.relative:

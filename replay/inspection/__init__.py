@@ -1,1 +1,1 @@
-"""`fauio info`: what is in a profile, model, gains file or recording."""
+"""`fauio info`: the content of a profile, model, gains file or recording."""

@@ -1,4 +1,4 @@
-"""What is in a file of fauio's: a recording, a profile, a model or gains, as one JSON object."""
+"""The content of one of fauio's files (a recording, a profile, a model or gains), as one JSON object."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from replay.player import interests
 
 
 def info(path: Path) -> dict[str, Any]:
-    """Return what is in a file or folder; ``kind`` says what it is.
+    """Return the content of a file or folder; its ``kind`` tells which kind of file it is.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def info(path: Path) -> dict[str, Any]:
 
 
 def profile_info(folder: Path) -> dict[str, Any]:
-    """Return what a profile watches, with which certified bound, from which sizes on."""
+    """Return what a profile watches, its certified bounds, and the sizes that raise alarms."""
     profile = read_profile(folder)
     said = tomllib.loads(profile.files[PROFILE_FILE].decode())["observers"]
     return {
@@ -119,7 +119,7 @@ def _worst(gains: Sequence[Gains], key: str) -> float | None:
 
 
 def gains_info(path: Path) -> dict[str, Any]:
-    """Return what gains estimate, for which model, and what they are worth."""
+    """Return the faults that gains estimate, their model, and their certified performance."""
     gains = read_gains(path)
     return {
         "file": str(path),
@@ -166,7 +166,7 @@ def model_info(path: Path) -> dict[str, Any]:
 
 
 def _checked(plant: Plant) -> tuple[bool | None, str]:
-    """Return whether all faults can be estimated together, and the findings in a line."""
+    """Return whether all faults can be estimated together, and the findings in one line."""
     try:
         check = check_plant(plant)
     except (ModelError, InfeasibleError) as error:
@@ -181,11 +181,11 @@ _FORMATS = {
     "dataflash": "ArduPilot log",
 }
 _MOST_ALARMS = 20
-"""Chosen: what fits on a screen beside the rest."""
+"""Alarms that are listed. Chosen: they fit on a screen beside the rest."""
 _MOST_FIELDS = 8
-"""Names of a message's fields. Chosen: two lines."""
+"""Names of a message's fields that are listed. Chosen: they fill two lines."""
 _WIDTH = 110
-"""Letters of a line of a list. Chosen: a wide terminal."""
+"""Letters of a line of a list. Chosen: the width of a wide terminal."""
 
 
 def info_lines(content: Mapping[str, Any]) -> Iterator[str]:
@@ -226,7 +226,7 @@ def _recording(content: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _link(link: Mapping[str, float | None]) -> Iterator[str]:
-    """Yield what the link did, where messages came over one: arrival times of other recordings are their stamps."""
+    """Yield the statistics of the link, if messages came over one: other recordings' arrival times are their stamps."""
     delay_s, jitter_s, lost = (link[name] for name in ("delay_s", "jitter_s", "lost_share"))
     if delay_s is None or jitter_s is None or not (delay_s or jitter_s):
         return
@@ -274,7 +274,7 @@ def _vehicle(vehicle: Mapping[str, Any]) -> Iterator[str]:
         yield "  nothing to fit: the vehicle is never armed; record a flight. Of a flight with these messages:"
     yield f"  what fauio fit could make of {whose}:"
     for kind, fit in vehicle["fits"].items():
-        # a vehicle that says what it is is nothing else, whatever its messages would allow
+        # a vehicle that reports its type is of no other type, whatever its messages would allow
         if vehicle["likely"] not in (None, kind) and kind != "inertial":
             continue
         if not fit["possible"]:
@@ -345,7 +345,7 @@ def _capped(items: Sequence[str], most: int) -> list[str]:
 
 
 def _listed(start: str, items: Sequence[str], comma: str = ", ") -> list[str]:
-    """Return items behind a start, with a comma between them, in lines of bounded width."""
+    """Return items after a heading, with a comma between them, in lines of bounded width."""
     indent = " " * (len(start) - len(start.lstrip()) + 2)
     text = start + comma.join(items)
     return wrap(text, _WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)

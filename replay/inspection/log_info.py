@@ -1,4 +1,4 @@
-"""What a recording holds: time, vehicles, messages, what could be watched with them, alarms, damage."""
+"""The content of a recording: time, vehicles, messages, what could be watched with them, alarms, damage."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ Event = TypeVar("Event", AlarmEvent, dict[str, Any])
 
 
 def first_raised(events: Iterable[Event]) -> list[Event]:
-    """Return the first event of each alarm that was raised: an alarm is raised again when an operator unshelves it.
+    """Return the first event of each raised alarm: an alarm is raised again when an operator unshelves it.
 
-    Events of a recording are their JSON objects, which may hold anything where it is damaged.
+    Events of a recording are JSON objects; in a damaged recording they may hold anything.
     """
     raised: dict[str, Event] = {}
     for event in events:
@@ -50,11 +50,11 @@ def first_raised(events: Iterable[Event]) -> list[Event]:
 
 
 _SILENCE_NS = 10_000_000_000
-"""Between heartbeats further apart nothing says that the vehicle stayed armed. Chosen: they come once a second, and a
-poor radio loses half of them.
-"""
+"""Longest time between two heartbeats over which a vehicle counts as armed, nanoseconds. Chosen: heartbeats come once a
+second, and a poor radio loses half of them."""
 _BURST_S = 1.0
-"""Messages that came within less, in all, came in bursts. Chosen: the slowest streams have one in a second."""
+"""Messages that all arrive within this time came in bursts, seconds. Chosen: the slowest streams have one message in a
+second."""
 _INPUTS = {
     MOTOR_MESSAGE: "outputs to motors and servos",
     "ACTUATOR_CONTROL_TARGET": "torques and thrust that the controllers ask for",
@@ -63,22 +63,21 @@ _INPUTS = {
     **dict.fromkeys((BATTERY_MESSAGE, CELLS_MESSAGE), "voltage and current of the battery"),
     "VIBRATION": "vibration and clipping of the accelerometers",
 }
-"""Messages of what acts on a vehicle, and what they hold."""
+"""Messages about what acts on a vehicle, and their content."""
 _FIELD_RECORDS = ("vehicle_magnetometer", "MAG")
 """Records of onboard logs that hold the magnetic field."""
 _FIELD_HZ = 10.0
-"""Rate from which on a compass can be watched. Measured on PX4's logs of brisk flights: headings from a field at 14 Hz
-are within 10 degrees of the attitude's, from one at 2 Hz within 51.
-"""
+"""Lowest rate at which a compass can be watched. Measured on PX4's logs of brisk flights: headings from a field at 14
+Hz are within 10 degrees of the attitude's, from one at 2 Hz within 51."""
 _MAX_FIELDS = 400
-"""Numbers of a message that are listed. Chosen: more than any has but pictures and clouds of points."""
+"""Numbers of a message that are listed. Chosen: only pictures and clouds of points have more."""
 _MAX_ELEMENTS = 16
-"""Elements of a list that are. Chosen: as many as a servo message has outputs."""
+"""Elements of a list that are listed. Chosen: as many as a servo message has outputs."""
 
 
 @dataclass(slots=True)
 class _Sender:
-    """What one system of a recording sent."""
+    """Messages of one system of a recording."""
 
     messages: int = 0
     components: set[int] = field(default_factory=set)
@@ -134,18 +133,18 @@ class _Tally:
             sender.components.add(messages.component)
 
     def said(self, system: int) -> Reports:
-        """Return what a system said of itself, with what an onboard log's own records, which have no system, say."""
+        """Return a system's reports about itself, joined with those in the records of an onboard log."""
         return self.senders.get(0, _Sender()).reports.joined(self.senders[system].reports)
 
     def watch(self, batches: Iterable[Batch]) -> Iterator[Batch]:
-        """Yield the messages of the vehicle that a fit would take, and note which it is."""
+        """Yield the messages of the vehicle that a fit would choose, and note that vehicle."""
         for batch in of_one_vehicle(batches):
             self.watched = next((entry.system for entry in batch.entries if entry.source is MAVLINK), self.watched)
             yield batch
 
 
 def _note(sender: _Sender, message: Message) -> None:
-    """Take a report: the autopilot's heartbeat says what the vehicle is, any other what its sender is."""
+    """Process a report: the autopilot's heartbeat tells what the vehicle is, any other heartbeat what its sender is."""
     sender.reports = sender.reports.after(message)
     if message.name != "HEARTBEAT" or message.source is not MAVLINK:
         return
@@ -161,18 +160,18 @@ def _note(sender: _Sender, message: Message) -> None:
     if sender.armed_since_ns is not None:
         step_ns = message.received_ns - sender.armed_since_ns
         if -_SILENCE_NS < step_ns <= 0 and mode & ARMED:
-            return  # written late, as onboard logs do: no time has passed
+            return  # a heartbeat that an onboard log wrote late: no time has passed
         sender.armed_ns += step_ns if 0 < step_ns < _SILENCE_NS else 0
     sender.armed_since_ns = message.received_ns if mode & ARMED else None
 
 
 def log_info(path: Path) -> dict[str, Any]:
-    """Go through a recording and return what it holds, as a JSON object.
+    """Read a recording and return its content as a JSON object.
 
     Raises
     ------
     TelemetryError
-        It is no recording, or holds nothing of its kind.
+        The file is no recording, or holds no record of its kind.
     """
     kind = recording_kind(path)
     tally, recording = _Tally(), Recording(path)
@@ -199,9 +198,9 @@ def log_info(path: Path) -> dict[str, Any]:
 
 
 def _message(name: str, tally: _Tally, surveyed: Survey) -> dict[str, Any]:
-    """Return count and rate: on the vehicle's clock where the message has a time, else as it arrived.
+    """Return count and rate: on the vehicle's clock if the message has a time, else by arrival.
 
-    A few bursts, such as parameters at the head of a log, have none.
+    A few bursts, such as parameters at the begin of a log, have no rate.
     """
     count = tally.counts[name]
     rate = surveyed.rate_hz.get(name) if surveyed.counts.get(name) == count else None
@@ -214,7 +213,7 @@ def _message(name: str, tally: _Tally, surveyed: Survey) -> dict[str, Any]:
 
 def _system(number: int, tally: _Tally) -> dict[str, Any]:
     sender = tally.senders[number]
-    # logs of ArduPilot hold no HEARTBEAT that says the type: what is made of them is "generic" (0)
+    # ArduPilot's logs hold no HEARTBEAT with the type: the ones made from them have the type "generic" (0)
     known = "" if sender.type else tally.said(number).identity.vehicle_type.replace(" ", "_")
     return {
         "system": number,
@@ -228,7 +227,7 @@ def _system(number: int, tally: _Tally) -> dict[str, Any]:
 
 
 def _fits(surveyed: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[str, Any] | None:
-    """Return which observers could be fitted to the vehicle's messages, None where there is no vehicle."""
+    """Return which observers could be fitted to the vehicle's messages, None if there is no vehicle."""
     if tally.watched is None:
         fits = {kind.name: _fit(kind, surveyed) for kind in KINDS if kind.types}
         if not any(fit["possible"] for fit in fits.values()):
@@ -245,7 +244,7 @@ def _fits(surveyed: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[st
                 )
     vehicle_type = tally.said(tally.watched).identity.vehicle_type
     likely = [kind.name for kind in likely_kinds(KINDS, vehicle_type)]
-    # a submarine has motors, of which no kind of vehicle knows what they do
+    # a submarine has motors, but no kind of vehicle knows how they act
     likely += ["inertial"] if vehicle_type else []
     return {
         "system": tally.watched,
@@ -278,7 +277,7 @@ def _fit(kind: VehicleKind, surveyed: Survey) -> dict[str, Any]:
 
 
 def _paths(fields: Mapping[str, Any]) -> list[str]:
-    """Return the places of the numbers in a message, as a profile's channels name them."""
+    """Return the paths of the numbers in a message, as a profile's channels name them."""
     paths: list[str] = []
 
     def go(value: Any, path: str, names: Any) -> None:
