@@ -1,7 +1,7 @@
-"""A batch of telemetry: consecutive messages as columns, one for each field, in the order of arrival.
+"""A batch of telemetry: consecutive messages as columns, one per field, in the order of arrival.
 
-What is the same for all messages of a batch is done once. A batch holds exactly the same as its messages one by one:
-:func:`messages` gives them back, :func:`pack` makes a batch of messages.
+Work that is the same for all messages of a batch is done once. A batch holds exactly the same data as its messages one
+by one: :func:`messages` returns them, :func:`pack` makes a batch from messages.
 """
 
 from __future__ import annotations
@@ -20,11 +20,13 @@ from adapters.source import Source
 _DTYPES: Mapping[type, type[np.generic]] = {int: np.int64, float: np.float64, bool: np.bool_}
 
 _MESSAGE_BYTES = 2000
-"""Measured: a message of a dozen fields as Python objects takes 1.5 to 2.5 kB."""
+"""Memory of a message as Python objects, bytes. Measured: 1.5 to 2.5 kB for a dozen fields."""
 _USUAL_FIELDS = 100
-"""More than a telemetry message has; of more of them the number is all that counts."""
+"""Number of fields of a message whose memory is estimated field by field, more than telemetry has; beyond it only the
+number of fields counts."""
 _VALUE_BYTES = 100
-"""A field's name and number as Python objects: 50 to 60 bytes and 24 to 32, and its entries in a dictionary."""
+"""Memory of a field's name and number as Python objects, bytes: 50 to 60 and 24 to 32, and the entries in a
+dictionary."""
 BATCH_MESSAGES: Final = 40_000
 """Messages that readers of recordings put into a batch. Measured on 69,000 messages of a telemetry log: reading them
 takes 133 ms in batches of 400, 40 ms in those of 4,000, 27 ms in those of 40,000 and 400,000.
@@ -32,7 +34,7 @@ takes 133 ms in batches of 400, 40 ms in those of 4,000, 27 ms in those of 40,00
 
 
 class FieldPlace(NamedTuple):
-    """Where a record has a field: its first byte, the kind (of NumPy) and size of a number, and how many (0: one)."""
+    """First byte of a field in a record, kind (of NumPy) and size of its number, number of elements (0: no array)."""
 
     offset: int
     kind: str
@@ -41,7 +43,7 @@ class FieldPlace(NamedTuple):
 
 
 def field_places(record: np.dtype[np.void]) -> dict[str, FieldPlace]:
-    """Return the places of a record's fields, which are numbers or lists of them."""
+    """Return the positions of a record's fields, which are numbers or lists of them."""
     places = {}
     for name, (dtype, offset, *_) in (record.fields or {}).items():
         number, shape = dtype.subdtype or (dtype, (0,))
@@ -50,11 +52,10 @@ def field_places(record: np.dtype[np.void]) -> dict[str, FieldPlace]:
 
 
 class RecordFields(Mapping[str, NDArray[np.generic]]):
-    """Fields of m messages that lie one behind the other, taken apart when they are asked for.
+    """Fields of m messages in consecutive records, each decoded when it is read.
 
-    Most fields of live telemetry are asked for by nobody.
-
-    ``record`` holds the messages, a record of the fields each (m,), ``places`` is what :func:`field_places` says of it.
+    Most fields of live telemetry are never read. ``record`` holds the messages, one record of the fields each (m,);
+    ``places`` is the result of :func:`field_places` for it.
     """
 
     __slots__ = ("_columns", "places", "record")
@@ -93,9 +94,10 @@ class Columns:
     name: str
     system: int  # MAVLink ids of the sender
     component: int
-    position: NDArray[np.int64]  # index of each among all messages of the batch (m,), ascending
+    position: NDArray[np.int64]  # index of each message among all messages of the batch (m,), ascending
     received_ns: NDArray[np.int64]  # Unix times of arrival, nanoseconds (m,)
-    fields: Fields  # decoded fields in the type they have on the wire (m,); an array field has shape (m, its length)
+    # decoded fields in the type that they have in the packet (m,); an array field has shape (m, its length)
+    fields: Fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,19 +105,19 @@ class Batch:
     """Consecutive messages of all senders, as columns."""
 
     count: int  # number of messages
-    columns: tuple[Columns, ...]  # by name and sender; no two have both in common
-    # messages that are no columns (texts, other kinds of source), by their index in the batch
+    columns: tuple[Columns, ...]  # by name and sender; no two have the same name and sender
+    # messages that cannot be columns (texts, other kinds of source), by their index in the batch
     others: Mapping[int, Message]
 
     @property
     def entries(self) -> Iterator[Columns | Message]:
-        """The columns, then the messages that are none."""
+        """The columns, then the messages that are not in columns."""
         yield from self.columns
         yield from self.others.values()
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of its messages."""
+        """Names of the messages in the batch."""
         return frozenset(entry.name for entry in self.entries)
 
 
@@ -129,7 +131,7 @@ def messages(batch: Batch) -> Iterator[Message]:
 
 
 def _each(columns: Columns) -> Iterator[Message]:
-    """Yield the messages of columns; a field's values all become Python's at once."""
+    """Yield the messages of columns; all values of a field are converted to Python objects at once."""
     source, name, system, component = columns.source, columns.name, columns.system, columns.component
     values = [field.tolist() for field in columns.fields.values()]
     rows = zip(*values, strict=True) if values else repeat(())
@@ -138,7 +140,7 @@ def _each(columns: Columns) -> Iterator[Message]:
 
 
 def one_message(columns: Columns, row: int) -> Message:
-    """Return one message of its columns."""
+    """Return one message from its columns."""
     return Message(
         source=columns.source,
         name=columns.name,
@@ -160,7 +162,7 @@ def arrival_times(batch: Batch) -> NDArray[np.int64]:
 
 
 def memory_bytes(batch: Batch) -> int:
-    """Return about how much memory a batch takes."""
+    """Return the approximate memory of a batch, bytes."""
     columns = 0
     for group in batch.columns:
         fields = group.fields
@@ -173,7 +175,7 @@ def memory_bytes(batch: Batch) -> int:
 
 
 def _message_bytes(message: Message) -> int:
-    """Return about how much memory a message takes: what came over a network may have any number of fields."""
+    """Return the approximate memory of a message, bytes; a message from a network may have any number of fields."""
     fields = message.fields
     if len(fields) <= _USUAL_FIELDS:
         texts = sum(len(value) for value in fields.values() if isinstance(value, str | bytes))
@@ -198,7 +200,7 @@ def cut(batch: Batch, start: int, stop: int) -> Batch:
 
 
 def rows_of(columns: Columns, part: slice | NDArray[np.intp]) -> Columns:
-    """Return some of the messages of columns, at the positions that they have."""
+    """Return the messages of columns at the given rows."""
     return replace(
         columns,
         position=columns.position[part],
@@ -214,9 +216,9 @@ def _rows(fields: Fields, part: slice | NDArray[np.intp]) -> Fields:
 
 
 def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch:
-    """Return columns and messages, no two at the same index, as a batch; indices without a message close up.
+    """Return a batch of columns and messages, no two at the same index; unused indices are closed up.
 
-    Columns of one name and sender are put together, or become messages where their fields differ.
+    Columns of one name and sender are joined, or become messages if their fields differ.
     """
     kept: dict[tuple[str, int, int], Columns] = {}
     others = dict(single)
@@ -229,7 +231,7 @@ def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch
         else:
             others.update((int(group.position[row]), one_message(group, row)) for row in range(len(group.position)))
     indices = np.concatenate([np.array([*others], np.int64), *(group.position for group in kept.values())])
-    # indices may be far apart: only their order counts
+    # indices may have large gaps: only their order counts
     rank = np.empty(len(indices), np.int64)
     rank[np.argsort(indices)] = np.arange(len(indices))
     closed = []
@@ -241,17 +243,17 @@ def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch
 
 
 def sender_of(entry: Columns | Message) -> int | None:
-    """Return the system id of a message, or of those in columns; None where their source has none."""
+    """Return the system id of a message or of columns, or None if their source has no ids."""
     return entry.system if entry.source.has_ids else None
 
 
 def of_names(batch: Batch, names: Container[str]) -> Batch:
-    """Return the messages of some names as a batch."""
+    """Return the messages of the given names as a batch."""
     return chosen(batch, lambda entry: entry.name in names)
 
 
 def chosen(batch: Batch, keeps: Callable[[Columns | Message], bool]) -> Batch:
-    """Return the columns and messages that ``keeps`` is true of as a batch."""
+    """Return the columns and messages for which ``keeps`` returns true, as a batch."""
     columns = [columns for columns in batch.columns if keeps(columns)]
     others = {index: message for index, message in batch.others.items() if keeps(message)}
     if len(columns) == len(batch.columns) and len(others) == len(batch.others):
@@ -262,8 +264,8 @@ def chosen(batch: Batch, keeps: Callable[[Columns | Message], bool]) -> Batch:
 def joined(batches: Sequence[Batch]) -> Batch:
     """Return the messages of consecutive batches as one batch.
 
-    Use it where several batches wait: a row costs less in a larger batch. Messages of a name and sender whose fields
-    or types differ between batches stay messages from the second of their forms on.
+    Use it if several batches wait: a row costs less in a larger batch. If the fields or types of a name and sender
+    differ between batches, only those like the first become columns; the others stay messages.
     """
     if len(batches) == 1:
         return batches[0]
@@ -314,7 +316,7 @@ def _one_after_the_other(parts: Sequence[Fields]) -> Fields:
     first = parts[0]
     records = [fields.record for fields in parts if isinstance(fields, RecordFields)]
     if isinstance(first, RecordFields) and len(records) == len(parts):
-        # As plain bytes: NumPy would look for a type that all of them fit, field by field.
+        # As plain bytes: otherwise NumPy searches for a common type, field by field.
         content = b"".join([record.tobytes() for record in records])
         return RecordFields(np.frombuffer(content, first.record.dtype), first.places)
     return {name: np.concatenate([fields[name] for fields in parts]) for name in parts[0]}
@@ -335,8 +337,8 @@ def _in_order(columns: Columns) -> Columns:
 def pack(received: Sequence[Message]) -> Batch:
     """Return messages as a batch.
 
-    Telemetry whose fields are numbers or lists of numbers, the same ones in each message of a name and sender and of
-    the same Python type and length, becomes columns of int64, float64 or bool; all else stays as messages.
+    Messages of a name and sender become columns of int64, float64 or bool if all have the same fields, and each field
+    has numbers or lists of numbers of the same Python type and length. All others stay messages.
     """
     groups: dict[tuple[str, int, int], list[int]] = {}
     for position, message in enumerate(received):
@@ -378,7 +380,7 @@ def _columns(positions: list[int], group: list[Message]) -> Columns | None:
 
 
 def _numbers(values: list[Any]) -> NDArray[np.generic] | None:
-    """Return an array whose rows give back the values exactly, None where there is none."""
+    """Return an array whose rows reproduce the values exactly, or None if there is none."""
     kind = type(values[0])
     if any(type(value) is not kind for value in values):
         return None

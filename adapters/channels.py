@@ -1,4 +1,4 @@
-"""Channel mapping: which field of which message is which input or output, in which unit, on which clock."""
+"""Channel mapping: the message, field, unit and clock that each input or output is taken from."""
 
 from __future__ import annotations
 
@@ -19,22 +19,23 @@ _STEP = re.compile(r"([^.\[\]]+)|\[(?:(\d+)|([^\[\]]+))\]")
 _INTERPOLATIONS: tuple[Interpolation, ...] = get_args(Interpolation)
 _ANGLES: tuple[Angle, ...] = get_args(Angle)
 CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
-"""The usual names of clock fields and the nanoseconds they count, the first one that a message has being its clock."""
+"""Usual names of clock fields and the nanoseconds per count; the first one that a message has is its clock."""
 STANDARD_GRAVITY = 9.80665
-"""Standard acceleration of free fall, m/s^2 (ISO 80000-3); MAVLink counts thousandths of it."""
+"""Standard acceleration of free fall, m/s^2 (ISO 80000-3); MAVLink gives accelerations in thousandths of it."""
 SPEED, COURSE = "gps_speed", "gps_course"
-"""Channels that are length and direction of one vector, the velocity over ground. Between two of them it lies on a
-straight line: a vehicle that stops and goes back the other way does not turn meanwhile."""
+"""Channels that are the length and direction of one vector, the velocity over ground. The vector is interpolated on a
+straight line: a vehicle that stops and goes back in the opposite direction does not turn meanwhile."""
 MAX_VALUE = 1e12
-"""Beyond it no vehicle measures anything, in any unit; an observer that believed it would be blind for seconds."""
+"""Largest value of a measurement, in any unit: no vehicle measures more, and an observer that used a larger one would
+be blind for seconds."""
 MAX_COMMAND = 2.0
-"""Beyond it a motor's command, 0 to 1, is none: twice full command, which no range of pulses reaches."""
+"""Largest command of a motor, of full command 1: twice full command, which no range of pulses reaches."""
 STOPPED = -0.01
-"""A command below it is none of a motor: of one that it has stopped PX4 sends 900 us, a tenth below the range."""
+"""Smallest command of a motor: PX4 sends 900 us to a motor that it has stopped, a tenth below the range."""
 _LARGEST_PART, _SMALLEST_LENGTH = 1e3, 0.5
-"""A quaternion is of length 1. Chosen: one that is shorter than half is none (drivers without an attitude send zeros);
-parts beyond a thousand came from elsewhere."""
-# Where messages of ROS 2, and those of Foxglove's schemas, have their time: seconds and nanoseconds.
+"""Lengths of a quaternion, which should be 1. Chosen: a quaternion shorter than half is invalid (drivers without an
+attitude send zeros); elements beyond a thousand are other data."""
+# Fields in which messages of ROS 2 and of Foxglove's schemas have their time: seconds and nanoseconds.
 _ROS_STAMP = ("header", "stamp")
 _FOXGLOVE_STAMP = "timestamp"
 
@@ -44,40 +45,40 @@ class Channel:
     """One scalar signal taken from telemetry: ``value = scale * field + offset``."""
 
     name: str  # the user's name of the channel, the same as in the plant model
-    # MAVLink message name, Zenoh key or topic of ROS 2 (without its leading slash) the field is taken from
+    # MAVLink message name, Zenoh key or topic of ROS 2 (without its leading slash) that holds the field
     message: str
-    # Steps into the message's fields, ``"data[3]"`` being ``("data", 3)``. A name in place of a number,
-    # ``"position[elbow]"``, is looked up in the list ``name`` beside: the joints of a JointState, whose order may
-    # change from message to message.
+    # Path into the message's fields: ``"data[3]"`` is ``("data", 3)``. A name instead of a number,
+    # ``"position[elbow]"``, is looked up in the list ``name`` of the same message, as for the joints of a JointState,
+    # whose order may change from message to message.
     path: tuple[str | int, ...]
     scale: float = 1.0  # from the field's unit to the channel's
     offset: float = 0.0
-    # fields and the values they must have, where several senders share a message name: SERVO_OUTPUT_RAW with ``port`` 0
+    # fields and the values they must have, if several senders share a message name: SERVO_OUTPUT_RAW with ``port`` 0
     # and 1, DEBUG_FLOAT_ARRAY with different ``name``
     where: tuple[tuple[str, int | str], ...] = ()
-    # field with the measurement's time on the vehicle's clock, a number or seconds and nanoseconds as ROS 2 writes them
-    # (``sec``, ``nanosec``); None takes ``time_boot_ms``, ``time_usec``, ``time_ns``, ``header.stamp`` or such a
-    # ``timestamp``, whichever the message has, and the newest vehicle time where it has none
+    # field with the time of the measurement on the vehicle's clock, a number, or seconds and nanoseconds as in ROS 2
+    # (``sec``, ``nanosec``). None: whichever of ``time_boot_ms``, ``time_usec``, ``time_ns``, ``header.stamp`` or a
+    # ``timestamp`` like it the message has, otherwise the newest vehicle time
     clock: str | None = None
-    clock_unit_ns: int | None = None  # nanoseconds per count of that field; None: known from the usual names
-    # the value at a tick of the grid: on the straight line between two measurements, that of the newest, or the mean of
-    # those lines until the next tick
+    clock_unit_ns: int | None = None  # nanoseconds per count of that field; None: derived from the usual names
+    # value at a tick of the grid: on the straight line between two measurements, that of the newest measurement, or the
+    # mean of the lines until the next tick
     interpolation: Interpolation = "linear"
-    # Of a value that wraps, in the channel's unit: an angle of 359 degrees and one of 1 degree (period 360) are 2
-    # degrees apart. Interpolation goes the shorter way round and may leave the range.
+    # Period of a value that wraps, in the channel's unit: an angle of 359 degrees and one of 1 degree (period 360) are
+    # 2 degrees apart. Interpolation goes the shorter way round and may leave the range.
     period: float | None = None
-    # The field holds a quaternion (``x``, ``y``, ``z``, ``w``, as ROS 2 has it): take this angle of it, radians, of the
-    # rotations about z, then y, then x that it stands for. None: the field is a number.
+    # Angle to take from a field that holds a quaternion (``x``, ``y``, ``z``, ``w``, as in ROS 2), radians: its
+    # rotations are about z, then y, then x. None: the field is a number.
     angle: Angle | None = None
-    # Of a motor's command, 0 to 1: what a value below zero counts as, which an autopilot sends of a motor that it has
-    # stopped while others turn. With the command of hovering, one that is stopped in flight delivers nothing of it.
+    # Value that replaces a negative motor command, 0 to 1, which an autopilot sends to a motor that it has stopped
+    # while others turn. With the command of hovering, a motor stopped in flight delivers none of it.
     stopped_as: float | None = None
-    # fields and the least values with which the message is a measurement: a receiver without a fix repeats its last one
-    # with a lower ``fix_type``
+    # fields and the smallest values with which the message is a measurement: a receiver without a fix repeats its last
+    # one with a lower ``fix_type``
     at_least: tuple[tuple[str, float], ...] = ()
 
     def selects(self, fields: Mapping[str, Any]) -> bool:
-        """Return whether the message is one of those the channel is taken from."""
+        """Return whether the channel is taken from this message."""
         if not all(fields.get(name) == value for name, value in self.where):
             return False
         found = ((fields.get(name), least) for name, least in self.at_least)
@@ -85,13 +86,13 @@ class Channel:
 
     @property
     def largest(self) -> float:
-        """Return the size beyond which a value is no measurement."""
+        """Return the size above which a value is not a measurement."""
         return MAX_VALUE if self.stopped_as is None else MAX_COMMAND
 
     def value(self, fields: Mapping[str, Any]) -> float | None:
-        """Return the channel's value, None where no number is there that can be one: NaN, beyond :attr:`largest`."""
+        """Return the channel's value, or None if it is missing, NaN or larger than :attr:`largest`."""
         path = self.path
-        # Most paths are one name; they are read some thousand times a second.
+        # Most paths are a single name; they are read some thousand times a second.
         number = fields.get(path[0]) if len(path) == 1 else follow(fields, path)  # type: ignore[arg-type]
         if self.angle is not None:
             number = _angle(number, self.angle)
@@ -106,7 +107,7 @@ class Channel:
         return value if -self.largest <= value <= self.largest else None
 
     def stamp_ns(self, fields: Mapping[str, Any]) -> int | None:
-        """Return the measurement's time on the vehicle's clock in nanoseconds, None where it has none."""
+        """Return the time of the measurement on the vehicle's clock in nanoseconds, or None if the message has none."""
         if self.clock is not None:
             count = fields.get(self.clock)
             if count is None:
@@ -123,7 +124,7 @@ class Channel:
 
 
 def _angle(quaternion: Any, which: Angle) -> float | None:
-    """Return an angle of a quaternion, None where it is none; one of another length than 1 is taken to length 1."""
+    """Return an angle of a quaternion, normalised to length 1, or None if the quaternion is invalid."""
     parts: list[Any] = [quaternion.get(name) for name in "xyzw"] if isinstance(quaternion, Mapping) else []
     if not parts or not all(type(part) in (int, float) and abs(part) <= _LARGEST_PART for part in parts):
         return None
@@ -156,7 +157,7 @@ def _whole(count: Any, unit_ns: int) -> int | None:
 
 
 def number(value: object) -> float:
-    """Return a number from the network, NaN for what is none or too large for one."""
+    """Return a number from the network, or NaN if it is not a number or is too large for one."""
     if type(value) not in (int, float):
         return nan
     try:
@@ -166,7 +167,7 @@ def number(value: object) -> float:
 
 
 def follow(fields: Mapping[str, Any], path: tuple[str | int, ...]) -> Any:
-    """Return the value at ``path`` inside decoded fields, None where there is none."""
+    """Return the value at ``path`` inside decoded fields, or None if it is missing."""
     here: Any = fields
     above: Any = None
     for step in path:
@@ -182,7 +183,7 @@ def follow(fields: Mapping[str, Any], path: tuple[str | int, ...]) -> Any:
 
 
 def _named(names: Any, values: list[Any], name: str) -> Any:
-    """Return the value that belongs to a name; None where it is missing or twice, or the lists differ in length."""
+    """Return the value of a name, or None if it is missing or twice there, or the lists differ in length."""
     if not isinstance(names, list) or len(names) != len(values) or names.count(name) != 1:
         return None
     return values[names.index(name)]
@@ -190,7 +191,7 @@ def _named(names: Any, values: list[Any], name: str) -> Any:
 
 @lru_cache(maxsize=1024)
 def field_steps(field: str) -> tuple[str | int, ...]:
-    """Return the steps of a field as it is written: names, and indices or names in brackets."""
+    """Return the path of a field from its text: names, and indices or names in brackets."""
     return tuple(int(index) if index else step or name for step, index, name in _STEP.findall(field))
 
 
@@ -229,7 +230,7 @@ def read_channel(name: str, table: Table) -> Channel:
 
 
 def parse_channel(name: str, content: Mapping[str, Any], where: str) -> Channel:
-    """Return the channel of a table that stands in no file, as :func:`read_channel` reads it.
+    """Return the channel of a table that does not come from a file, as :func:`read_channel` reads it.
 
     Raises
     ------
@@ -254,7 +255,7 @@ def _field(text: str) -> None:
 
 
 def channel_table(channel: Channel) -> dict[str, Any]:
-    """Return the TOML table that :func:`parse_channel` reads back as the same channel."""
+    """Return the TOML table from which :func:`parse_channel` reads the same channel."""
     field = "".join(f"[{step}]" if isinstance(step, int) or "." in step else f".{step}" for step in channel.path)
     table: dict[str, Any] = {"message": channel.message, "field": field.lstrip(".")}
     table |= {key: dict(pairs) for key in _SELECTING if (pairs := getattr(channel, key))}

@@ -1,4 +1,4 @@
-"""How commands speak, take numbers and listen: results on stdout, remarks on stderr, in neither what terminals obey."""
+"""Output, arguments and sockets of commands: results on stdout, remarks on stderr, both without control characters."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from adapters.errors import UsageError, printable
 
 
 def say(*lines: str) -> None:
-    """Print lines of a result; control characters, line ends included, become question marks."""
+    """Print lines of a result; control characters, including line ends, become question marks."""
     sys.stdout.writelines(f"{printable(line)}\n" for line in lines)
     sys.stdout.flush()
 
@@ -27,7 +27,7 @@ def say_json(content: Any) -> None:
 
 
 def remark(*lines: str) -> None:
-    """Say what is no result, such as a warning."""
+    """Print a remark that is not part of the result, such as a warning."""
     sys.stderr.writelines(f"fauio: {printable(line)}\n" for line in lines)
     sys.stderr.flush()
 
@@ -35,7 +35,7 @@ def remark(*lines: str) -> None:
 def option(parser: Any, words: str, says: str, of: Callable[[str], Any] | None = None, **more: Any) -> None:
     """Add an option or an argument as users write it: ``-o --out DIR``, ``logs LOG``; without a value it is a flag.
 
-    ``of`` reads the value, a text without; ``more`` is as for ``add_argument``.
+    ``of`` converts the value; without it the value is a text. ``more`` is passed to ``add_argument``.
     """
     *names, value = words.split()
     if value.startswith("-"):
@@ -64,14 +64,14 @@ def whole(text: str) -> int:
 
 
 def natural(text: str) -> int:
-    """Read an argument that is a whole number from 0 on."""
+    """Read an argument that is a whole number of at least 0."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 0 on")
     return int(text)
 
 
 def positive(text: str) -> int:
-    """Read an argument that is a whole number from 1 on."""
+    """Read an argument that is a whole number of at least 1."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 1 on")
     return int(text)
@@ -83,7 +83,7 @@ def several(text: str) -> Sequence[str]:
 
 
 def host_port(name: str, address: str, example: str) -> tuple[str, int]:
-    """Return host and port to listen on; ``name`` begins the message of a UsageError, ``example`` ends it."""
+    """Return host and port to listen on. The message of a UsageError begins with ``name`` and ends with ``example``."""
     host, _, port = address.rpartition(":")
     host = host.strip("[]")
     if not host or not port.isdecimal() or int(port) > 0xFFFF:
@@ -92,7 +92,10 @@ def host_port(name: str, address: str, example: str) -> tuple[str, int]:
 
 
 def listening(name: str, address: str, example: str) -> socket.socket:
-    """Return a TCP socket that listens on HOST:PORT; a UsageError says why it cannot, as of :func:`host_port`."""
+    """Return a TCP socket that listens on HOST:PORT.
+
+    Raise a UsageError if that is not possible, see :func:`host_port`.
+    """
     where = host_port(name, address, example)
     try:
         return socket.create_server(where, family=socket.AF_INET6 if ":" in where[0] else socket.AF_INET)

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    """Return a text with a question mark for each control character, line ends included.
+    """Return a text with a question mark for each control character, including line ends.
 
     Use it on every text from elsewhere (a file, a network, an operator) before it is shown: a terminal obeys control
     characters.
@@ -33,12 +33,11 @@ def printable(text: str) -> str:
 
 
 class FauioError(ValueError):
-    """What keeps a command from its work, told to its user: what is wrong, where, and what to do.
+    """An error that ends a command, explained to its user: what is wrong, where, and what to do.
 
-    Raise one of the classes below; this one itself only where none of them fits.
-
-    Each of ``lines`` is a mistake. Whatever they quote they stay a line each: control characters become question marks.
-    ``exit_status`` is what the command line returns.
+    Raise one of the classes below; raise this class only if none of them fits. Each of ``lines`` is a mistake. Control
+    characters in quoted texts become question marks, so that each stays one line. ``exit_status`` is returned by the
+    command line.
     """
 
     exit_status = 2
@@ -55,11 +54,11 @@ class UsageError(FauioError):
 
 
 class ConfigError(FauioError):
-    """A configuration file of the monitor that cannot be used; a line for each of its mistakes."""
+    """A configuration file of the monitor that cannot be used; one line per mistake."""
 
 
 class ProfileError(FauioError):
-    """A profile that cannot be used; a line for each mistake of one of its files."""
+    """A profile that cannot be used; one line per mistake in one of its files."""
 
 
 class ModelError(FauioError):
@@ -67,33 +66,33 @@ class ModelError(FauioError):
 
 
 class UntoldError(ModelError):
-    """Recordings that do not determine a vehicle's own model; what watches its sensors may do without it."""
+    """Recordings that do not determine a vehicle's own model; the observers of its sensors may work without it."""
 
 
 class InfeasibleError(FauioError):
-    """No design of the asked kind exists (or the solver could not prove one); the message says why."""
+    """No design of the requested kind exists (or the solver could not prove one); the message says why."""
 
     exit_status = 3
 
 
 class InaccurateError(InfeasibleError):
-    """The solver returned gains, or nothing, but no certificate confirms them: they must not be used."""
+    """The solver's answer, gains or none, is not confirmed by a certificate: the gains must not be used."""
 
 
 class TelemetryError(FauioError):
-    """A link or a recording that cannot be used, or that lacks the messages that are needed."""
+    """A link or a recording that cannot be used, or that lacks required messages."""
 
 
 class OtherVehicleError(TelemetryError):
-    """Telemetry that says it is of another vehicle than the profile, or than the kind that was asked for."""
+    """Telemetry of another vehicle than the profile's, or of another kind than the requested one."""
 
 
 class PayloadError(FauioError):
-    """One message cannot be decoded; its receiver counts it and goes on with the next."""
+    """One message cannot be decoded; the receiver counts it and continues with the next."""
 
 
 class UndefinedTypeError(PayloadError):
-    """One message is of a type whose definition is not known here; naming the type mends it."""
+    """One message has a type whose definition is not known; the user has to name the type."""
 
 
 class StorageError(FauioError):

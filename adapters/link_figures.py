@@ -1,10 +1,10 @@
-"""What a link does to telemetry: delay, jitter and lost share, from sequence numbers, stamps and times of arrival.
+"""Quality of a telemetry link: delay, jitter and lost share, from sequence numbers, stamps and times of arrival.
 
 Arrival minus stamp is the offset of two clocks plus a delay. For each kind of message, the smallest value of the one to
 two minutes before a message counts as no delay: the delay is how much later a message comes than the quickest of its
 kind. Jitter is the mean change of the delay from one message to the next, the difference D of RFC 3550, section 6.4.1,
-without its smoothing. If packets are numbered, gaps in the numbers are losses; otherwise steps of the stamps of at
-least twice the usual step are.
+without its smoothing. If packets are numbered, gaps in the numbers are losses; otherwise a step of the stamps of at
+least twice the usual step is a loss.
 """
 
 from __future__ import annotations
@@ -22,32 +22,33 @@ from adapters.channels import CLOCK_UNITS_NS
 
 _MINUTE_NS = 60_000_000_000
 _MOST_BATCHES = 1024
-"""Batches that wait to be looked at, the oldest giving way. Chosen: 20 s of those of a live link, 20 ms each."""
+"""Batches that wait to be evaluated; the oldest is dropped first. Chosen: 20 s of those of a live link, 20 ms each."""
 _LOOK_NS = 5_000_000_000
-"""Time of arrival after which a live link's new messages are looked at. Chosen: a twelfth of the minute that figures
-cover; a look takes some 3 ms for a dozen kinds of message, however few there are of each."""
+"""Time of arrival after which new messages of a live link are evaluated. Chosen: a twelfth of the minute that figures
+cover; an evaluation takes some 3 ms for a dozen kinds of message, however few there are of each."""
 _BROKEN_NS = 10_000_000_000
-"""Step of stamps that is no loss but a pause or another clock: where the vehicle's clock starts anew, too."""
+"""Largest step of stamps that counts as a loss: a longer one is a pause or another clock, and the vehicle's clock
+starts anew."""
 _LOST = 1.75
-"""Step, in usual ones, from which measurements are missing: as the sampler has it."""
+"""Step, in usual steps, from which measurements are missing: the same number as the sampler's."""
 _STEPS = 31
-"""Steps of which the middle one is the usual, at least; the same number as the sampler's."""
+"""Fewest steps whose median is the usual step; the same number as the sampler's."""
 
 
 class LinkFigures(NamedTuple):
-    """Means over the last minute, or all of a recording; None where nothing tells."""
+    """Means over the last minute or a whole recording; None if they cannot be measured."""
 
     delay_s: float | None = None
     jitter_s: float | None = None
     lost_share: float | None = None
 
     def rounded(self) -> dict[str, float | None]:
-        """Return them as a JSON object, rounded to 0.1 ms and a hundredth of a per cent."""
+        """Return the figures as a JSON object, rounded to 0.1 ms and a hundredth of a per cent."""
         return {name: None if value is None else round(value, 4) for name, value in self._asdict().items()}
 
 
 class _Sums(NamedTuple):
-    """What messages add to the means."""
+    """Sums that messages add to the means."""
 
     delay_ns: float = 0.0
     delays: int = 0
@@ -70,13 +71,13 @@ class _Stream:
         self._least_ns: deque[tuple[int, int]] = deque(maxlen=2)
 
     def add(self, stamps: NDArray[np.int64], received: NDArray[np.int64]) -> _Sums:
-        """Go on by stamped messages in order of arrival; return what they add."""
+        """Update from stamped messages in order of arrival; return the sums that they add."""
         if abs(int(stamps[0]) - self._stamp_ns) > _BROKEN_NS:
             self.__init__()  # type: ignore[misc]
         known = bool(self._steps.size or self._stamp_ns)
         transit = received - stamps
         minute = int(received[-1]) // _MINUTE_NS
-        # Only messages before it: if a simulation's clock runs fast, each message comes quicker than the last.
+        # Only earlier messages: if a simulation's clock runs fast, each message comes quicker than the last.
         quickest = np.minimum.accumulate(transit)
         if self._least_ns:
             quickest = np.minimum(quickest, min(least_ns for _, least_ns in self._least_ns))
@@ -107,9 +108,9 @@ class _Stream:
 
 
 class LinkMeter:
-    """Measures a link by the messages that come over it.
+    """Measures a link by the messages that arrive over it.
 
-    ``recent`` looks at the last minute only, as messages came; otherwise at all.
+    With ``recent`` the figures cover the last minute, otherwise all messages.
     """
 
     def __init__(self, recent: bool = True) -> None:
@@ -121,14 +122,14 @@ class LinkMeter:
         self._looked_ns = 0
 
     def count(self, batch: Batch) -> None:
-        """Take a batch, from any thread."""
+        """Receive a batch; any thread may call it."""
         if batch.count:
             self._waiting.append(batch)
         if not self._recent:
             self._look()
 
     def figures(self, received: int = 0, lost: int | None = None) -> LinkFigures:
-        """Return the figures; ``received`` packets and ``lost`` ones so far where they are numbered."""
+        """Return the figures; ``received`` and ``lost`` are the packets so far, if packets are numbered."""
         if self._waiting and abs(_newest_ns(self._waiting[-1]) - self._looked_ns) >= _LOOK_NS:
             self._look()
         total = _total(sums for _, sums in self._sums)
@@ -173,7 +174,7 @@ def _newest_ns(batch: Batch) -> int:
 
 
 def _stamps(columns: Columns) -> NDArray[np.int64] | None:
-    """Return the stamps of telemetry on its sender's clock, nanoseconds; None where it has none."""
+    """Return the stamps of telemetry on its sender's clock, nanoseconds, or None if it has none."""
     for name, unit_ns in CLOCK_UNITS_NS.items() if columns.source.is_telemetry else ():
         values = columns.fields.get(name)
         if values is not None:

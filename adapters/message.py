@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from adapters.source import CLOCK, Source
 
-# The year 2116: sums and differences of times below it fit into 64 bits.
+# Latest time, in the year 2116: sums and differences of earlier times fit into 64 bits.
 LATEST_NS: Final = 1 << 62
 SECOND_NS: Final = 1_000_000_000
 
@@ -21,10 +21,10 @@ class Message:
     # MAVLink message name (``"ATTITUDE"``), Zenoh key expression (``"arm/telemetry"``) or name of a log's record
     # (``"sensor_baro/1"``)
     name: str
-    # Unix time of arrival, nanoseconds; in recordings below :data:`LATEST_NS`, what says otherwise is damaged
+    # Unix time of arrival, nanoseconds; in recordings below :data:`LATEST_NS`, a later one is damage
     received_ns: int
     fields: Mapping[str, Any]  # decoded fields: numbers, strings, lists and (JSON only) nested mappings
-    # MAVLink ids of the sender; 0 where the link has none
+    # MAVLink ids of the sender; 0 if the link has none
     system: int = 0
     component: int = 0
 
@@ -33,8 +33,8 @@ SILENCE = "silence"
 
 
 def silence(now_ns: int) -> Message:
-    """Return the message that says that Unix time has come to ``now_ns`` without telemetry.
+    """Return the message that tells the pipeline that Unix time has reached ``now_ns`` without telemetry.
 
-    Time that passes is an input like any other: recorded, it replays like any other.
+    The passage of time is an input like any other: it is recorded, and replayed.
     """
     return Message(source=CLOCK, name=SILENCE, received_ns=now_ns, fields={})

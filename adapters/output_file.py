@@ -1,4 +1,4 @@
-"""Writes files whole or not at all: a full disk costs nothing that stood there, and the error says which file."""
+"""Writes files whole or not at all: a full disk leaves an existing file as it was, and the error names the file."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pathlib import Path
 from adapters.errors import UsageError
 
 _IN_PLACE_ONLY = (errno.EACCES, errno.EPERM, errno.EBUSY)
-"""A file may be writable where its folder is not, or be mounted by itself."""
+"""A file may be writable although its folder is not, or be a mount of its own."""
 
 
 def check_suffix(path: Path, suffix: str) -> None:
-    """Raise UsageError where a file's name says that it holds something else than what is written to it."""
+    """Raise UsageError if a file's suffix does not fit what is written to it."""
     if path.suffix and path.suffix.lower() != suffix and not path.is_dir():
         raise UsageError(f"{path}: the format is {suffix[1:].upper()}; name it {path.with_suffix(suffix)}")
 
 
 def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file, in place of one that is there only once all of it is on the disk; text as UTF-8.
+    """Write a file; an existing one is replaced only when all of it is on the disk. Text is written as UTF-8.
 
-    A link is followed. What is no file (``/dev/stdout``, a pipe) is written to as it comes.
+    A link is followed. A target that is not a regular file (``/dev/stdout``, a pipe) is written to directly.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def _replace(target: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def naming(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Say in any OSError from inside which file it is about: those of a write or a close do not."""
+    """Add the file's name to any OSError raised inside: errors of a write or a close lack it."""
     try:
         yield
     except OSError as error:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Inputs and outputs of a plant at n consecutive ticks of the grid, a row for each tick."""
+    """Inputs and outputs of a plant at n consecutive ticks of the grid, one row per tick."""
 
     index: NDArray[np.int64]  # tick numbers k (n,); tick k is at k / rate on the vehicle's clock
     # times of the ticks on the vehicle's own clock, nanoseconds since its start (n,)
@@ -24,24 +24,24 @@ class Samples:
     y: NDArray[np.float64]
     # True on the first sample after a gap, a clock jump or the start: the observer restarts (n,)
     restart: NDArray[np.bool_]
-    complete: NDArray[np.bool_]  # false where measurements of a channel were lost around the tick (n,)
-    # Time on the vehicle's clock of the newest measurement a sample was interpolated from, where that is later than the
-    # tick: with a GPS of 5 Hz up to 200 ms (n,). Conclusions from the sample are not known earlier.
+    complete: NDArray[np.bool_]  # false if measurements of a channel were lost around the tick (n,)
+    # Time on the vehicle's clock of the newest measurement that a sample was interpolated from, if that is later than
+    # the tick: up to 200 ms with a GPS of 5 Hz (n,). Conclusions from the sample are not known earlier.
     known_ns: NDArray[np.int64]
-    # false where the observer has to coast on its model, which is better than what ``y`` holds there (n,)
+    # false if the observer has to coast on its model, which is better than the value in ``y`` (n,)
     measured: NDArray[np.bool_]
-    # inputs, then outputs, of which the sample holds no measurement, but a straight line over many lost ones or the
+    # inputs, then outputs, for which the sample holds no measurement, but a straight line over many lost ones or the
     # newest value (n, s + p)
     lost: NDArray[np.bool_]
-    # how long the straight line is on which each lies over lost measurements, one or more, 0 where none was (n, s + p);
-    # None but of raw signals
+    # duration of the straight line over one or more lost measurements on which each value lies, 0 if none was lost (n,
+    # s + p); None except for raw signals
     lines_ns: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.index)
 
     def part(self, start: int, stop: int) -> Samples:
-        """Return the samples start <= row < stop, as views."""
+        """Return the samples from row ``start`` to before row ``stop``, as views."""
         return self.rows(slice(start, stop))
 
     def rows(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
@@ -62,20 +62,21 @@ def joined_samples(parts: Sequence[Samples]) -> Samples:
 
 
 class Given(NamedTuple):
-    """Samples made of others: of raw signals, of several in a row."""
+    """Samples computed from others: from raw signals, each from several rows."""
 
     samples: Samples  # the n samples
-    # row of the sample that completed each (n,); all of them where each is one of those
+    # row of the sample that completed each (n,); all rows if each sample is computed from one
     rows: NDArray[np.intp] | slice = slice(None)
-    # standard deviation of faults that y itself holds an estimate of, by name (n,), in their units
+    # standard deviation of the faults that y itself holds an estimate of, by name (n,), in their units
     spread: Mapping[str, NDArray[np.float64]] = MappingProxyType({})
-    # where y is lost because what came is unlike the fitted flights (n,), not for lack of it
+    # where y counts as lost because the received values are unlike the fitted flights (n,), not because they are
+    # missing
     unflown: NDArray[np.bool_] | None = None
-    # how many times larger sizes are for being unlike the fitted flights (n,)
+    # factor by which sizes are larger because the sample is unlike the fitted flights (n,)
     beyond: NDArray[np.float64] | None = None
-    # the same of faults in ``spread``, whose uncertainty has in it what the transform lacked (n,); None: once
+    # the same factor for faults in ``spread``, whose uncertainty includes what the transform lacked (n,); None: 1
     known_beyond: NDArray[np.float64] | None = None
-    # where a transform put what a fault has done so far into y, which no sensor measured (n,)
+    # where a transform put the accumulated effect of a fault into y, which no sensor measured (n,)
     corrected: NDArray[np.bool_] | None = None
-    # y of the sample after each, where it is known with it (n, p): its inputs are means up to then
+    # y of the sample after each, if it is known together with it (n, p): its inputs are means up to then
     ahead: NDArray[np.float64] | None = None

@@ -1,8 +1,8 @@
 """Typed reading of TOML files: all mistakes of a file at once, each with its line, its key and what to do.
 
-A reader asks a :class:`Table` for one key after the other. Where a value is wrong the table records a mistake and
-returns a stand-in (NaN, an empty text), so that reading goes on and finds the others; :meth:`TomlFile.check` then
-raises them together. Whoever compares values with each other asks :meth:`Table.good` first.
+A reader asks a :class:`Table` for one key after the other. If a value is wrong, the table records a mistake and returns
+a stand-in (NaN, an empty text), so that reading continues and finds the others; :meth:`TomlFile.check` then raises them
+together. Code that compares values with each other asks :meth:`Table.good` first.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ KeyPath = tuple[str | int, ...]
 """Keys and indices that lead to a value: ``("vehicle", 0, "name")``."""
 
 LARGEST_BYTES = 1 << 20
-"""Largest file that is read; chosen: fifty times the largest model or configuration here, and parsed in a second."""
+"""Largest file that is read, bytes. Chosen: fifty times the largest model or configuration here, and parsed in a
+second."""
 _SHOWN = 60
-"""Characters of a wrong value that an error shows: with file and key it still fits two lines of a terminal."""
+"""Characters of a wrong value that an error shows: with file and key the error still fits two lines of a terminal."""
 _NEAR = 0.7
 """Likeness (difflib's ratio) from which an unknown key is taken for a mistyped one: two letters of six may differ."""
 _DEEPEST = 32
-"""Levels of tables and lists; nothing here needs more than six, and Python's recursion ends at 1000."""
+"""Most levels of tables and lists: nothing here needs more than six, and Python's recursion ends at 1000."""
 _AT_LINE = re.compile(r" \(at line (\d+), column (\d+)\)")
 
 
 class TomlFile:
     """A parsed file and the mistakes found in it so far.
 
-    Use :func:`read_toml` for a file on the disk; the class itself for tables that come from elsewhere.
-
-    ``error`` is what :meth:`check` raises; without its ``text`` mistakes have no lines. ``overrides`` are keys of the
-    top level that the command line gave in place of the file's; of a table, some of its keys.
+    Use :func:`read_toml` for a file on the disk; the class itself for tables that come from elsewhere. ``error`` is the
+    class that :meth:`check` raises; without the ``text`` mistakes have no lines. ``overrides`` are keys of the top
+    level that the command line gave instead of the file's; for a table, some of its keys.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class TomlFile:
         return Table(self, (), self._content)
 
     def changed(self, content: Mapping[str, Any]) -> TomlFile:
-        """Return the file with other values at the same keys, to be read as if they stood in it."""
+        """Return the file with other values at the same keys, to be read as if they were in the file."""
         return TomlFile(self.name, content, self._error, self._text)
 
     def mistake(
@@ -80,8 +80,8 @@ class TomlFile:
     ) -> None:
         """Record a mistake.
 
-        The key is put before ``what`` in quotes where it is ``named``. With ``once`` the same words about another key
-        are enough; ``also`` are further keys that are not to be judged because of it.
+        If ``named``, the key is put before ``what`` in quotes. With ``once`` the mistake is left out if another key has
+        the same words; ``also`` are further keys that are not judged because of it.
         """
         path = _present(path, self._content)
         key = "'" + _dotted(path) + "'" + ("" if what.startswith(":") else " ") if named else ""
@@ -90,7 +90,7 @@ class TomlFile:
             self._mistakes.append((path, key + what))
 
     def good(self, path: KeyPath, *, keys_below: bool = True) -> bool:
-        """Return whether no mistake concerns the value at a path: not it, what holds it or one of its parts.
+        """Return whether no mistake concerns the value at a path, its parts or the tables around it.
 
         Without ``keys_below`` only elements of a list count as parts: a table may be judged although a key of it is
         wrong.
@@ -117,7 +117,7 @@ class TomlFile:
 
 
 class Table:
-    """A table of a file, which knows its place and which of its keys were asked for."""
+    """A table of a file, which knows its path and which of its keys were asked for."""
 
     def __init__(self, file: TomlFile, path: KeyPath, content: Mapping[str, Any]) -> None:
         self.file = file
@@ -136,7 +136,7 @@ class Table:
         return key in self._content
 
     def raw(self, key: str) -> Any:
-        """Return a value as parsed, None where there is none; use it where no method below fits."""
+        """Return a value as parsed, or None if it is absent; use it if no method below fits."""
         self._known.add(key)
         return self._content.get(key)
 
@@ -151,8 +151,7 @@ class Table:
     def done(self, homes: Mapping[str, Sequence[str]] | None = None) -> None:
         """Record a mistake for each key that was not asked for: a typing error would otherwise go unnoticed.
 
-        ``homes`` are the tables that have a key of this name, ``""`` for the top level: for what stands in the wrong
-        one.
+        ``homes`` are the tables that have a key of this name, ``""`` for the top level: for a key in the wrong table.
         """
         for key in self._content:
             if key not in self._known:
@@ -160,7 +159,7 @@ class Table:
                 self.file.mistake((*self.path, key), f"is not a key of this table{what}", also=meant)
 
     def table(self, key: str) -> Table:
-        """Return the table below a key, empty where there is none."""
+        """Return the table at a key, empty if it is absent."""
         value = self._get(key, {})
         if not isinstance(value, Mapping):
             self._wrong((key,), value, "a table")
@@ -168,7 +167,7 @@ class Table:
         return Table(self.file, (*self.path, key), value)
 
     def tables(self, key: str) -> list[Table]:
-        """Return the tables of an array ``[[key]]``, none where there is no such key."""
+        """Return the tables of an array ``[[key]]``, an empty list if there is no such key."""
         value = self._get(key, [])
         if isinstance(value, Mapping):
             self.mistake(key, f"is a single table; write [[{key}]]")
@@ -187,23 +186,23 @@ class Table:
         return "" if value is None else self._text((key,), value, check)
 
     def optional_text(self, key: str) -> str | None:
-        """Return a text, None where the key is absent."""
+        """Return a text, or None if the key is absent."""
         return self.text(key) if self.has(key) else None
 
     def texts(self, key: str, check: Callable[[str], Any] | None = None, *, single: bool = False) -> tuple[str, ...]:
-        """Return a list of texts, empty where the key is absent; ``single``: one text alone may stand for its list."""
+        """Return a list of texts, empty if the key is absent; with ``single`` one text may replace its list."""
         value = self._get(key, [])
         if single and isinstance(value, str):
             return (self._text((key,), value, check),)
         return tuple(self._text((key, k), item, check) for k, item in enumerate(self._list(key, value)))
 
     def choice(self, key: str, choices: Sequence[_Choice], default: _Choice | None = None) -> _Choice:
-        """Return one of some texts."""
+        """Return a text that has to be one of the given ones."""
         value = self._get(key, default)
         return choices[0] if value is None else self._choice((key,), value, choices)
 
     def choices(self, key: str, choices: Sequence[_Choice]) -> tuple[_Choice, ...]:
-        """Return a list of some texts, empty where the key is absent."""
+        """Return a list of texts from the given ones, empty if the key is absent."""
         value = self._list(key, self._get(key, []))
         return tuple(self._choice((key, k), item, choices) for k, item in enumerate(value))
 
@@ -234,7 +233,7 @@ class Table:
         return math.nan if value is None else self.finite((key,), value, **bounds)
 
     def numbers(self, key: str, default: Sequence[float] | None = None, **bounds: float) -> tuple[float, ...]:
-        """Return a list of at least one finite number within bounds, as :meth:`number` has them."""
+        """Return a list of at least one finite number within bounds, which are those of :meth:`number`."""
         value = self._get(key, default if default is None else list(default))
         if value is None:
             return ()
@@ -243,7 +242,7 @@ class Table:
         return tuple(self.finite((key, k), item, **bounds) for k, item in enumerate(self._list(key, value)))
 
     def matrix(self, key: str, rows: int, columns: int) -> NDArray[np.float64]:
-        """Return a finite matrix (rows, columns) from a list of rows; NaN where it is none."""
+        """Return a finite matrix (rows, columns) from a list of rows, or NaN if it is invalid."""
         # the command line reads no matrix, and starts without NumPy
         import numpy as np
 
@@ -257,7 +256,7 @@ class Table:
         return matrix if self.good(key) else np.full((rows, columns), math.nan)
 
     def _get(self, key: str, default: Any) -> Any:
-        """Return a value; where there is none the default, and where that is None a mistake."""
+        """Return a value; if it is absent the default, and without a default a mistake."""
         self._known.add(key)
         value = self._content.get(key, default)
         if value is None:
@@ -291,7 +290,7 @@ class Table:
         return choices[0]
 
     def finite(self, at: KeyPath, value: Any, **bounds: float) -> float:
-        """Return a value of this table, at a path in it, as a finite number within bounds; NaN where it is none."""
+        """Return a value at a path in this table as a finite number within bounds, or NaN if it is invalid."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             self._wrong(at, value, "a number")
         elif not is_number(value):
@@ -320,7 +319,7 @@ class Table:
         return True
 
     def _wrong(self, at: KeyPath, value: Any, kind: str) -> None:
-        """Record that a value is of another kind."""
+        """Record that a value is of the wrong kind."""
         example = self._example(at[0], "; write for example {}") if len(at) == 1 else ""
         self.mistake(at, f"is {_shown(value)}, which is not {kind}{example or '; write it as one'}")
 
@@ -328,7 +327,7 @@ class Table:
         return words.format(f"{key} = {toml_value(self.examples[str(key)])}") if key in self.examples else ""
 
     def _unknown(self, key: str, homes: Sequence[str]) -> tuple[str, tuple[KeyPath, ...]]:
-        """Return what may be meant by an unknown key, in words and as paths."""
+        """Return the keys that an unknown key may stand for, in words and as paths."""
         if "" in homes:
             return ", but one of the top level; move it above the first [table]", ((key,),)
         if near := get_close_matches(key, self._known, 1, _NEAR):
@@ -343,13 +342,13 @@ def read_toml(
 ) -> TomlFile:
     """Read and parse a file.
 
-    Without a path the command line gives everything: ``overrides``, keys of the top level. ``mend`` says what to do
-    where there is no such file.
+    Without a path the command line gives everything: ``overrides``, keys of the top level. ``mend`` says what to do if
+    there is no such file.
 
     Raises
     ------
     FauioError
-        Of the given class: the file cannot be read, is too large or is no TOML.
+        Of the given class: the file cannot be read, is too large or is not TOML.
     """
     if path is None:
         return TomlFile("command line", {}, error, overrides=overrides)
@@ -376,7 +375,7 @@ def parse_toml(
     Raises
     ------
     FauioError
-        Of the given class: it is no TOML, or nested absurdly.
+        Of the given class: it is not TOML, or nested too deeply.
     """
     text = ""
     try:
@@ -412,9 +411,9 @@ def is_number(value: object) -> bool:
 
 
 _INNERMOST = re.compile(r"\[\n((?:( +)[^\[\]\n]+,\n)+) *\]")
-"""An array without an array in it, an entry a line, as tomli_w writes it."""
+"""An array that contains no array, one element per line, as tomli_w writes it."""
 _WIDTH = 120
-"""Longest line of what is written. Chosen: as long as lines of code here."""
+"""Longest line that is written. Chosen: as long as lines of code here."""
 
 
 def toml_text(content: Mapping[str, Any]) -> str:
@@ -471,14 +470,14 @@ _TOKEN = re.compile(
     r'"""(?:[^\\]|\\.)*?"{3,5}|' + r"'''.*?'{3,5}|" + r'"(?:[^"\\\n]|\\.)*"|' + r"'[^'\n]*'|#[^\n]*|[\[\]{}\n]",
     re.DOTALL,
 )
-"""What tells where a statement ends: texts and comments, in which nothing does, brackets and ends of lines."""
+"""Tokens that decide where a statement ends: texts and comments, which are skipped, brackets and line ends."""
 
 
 def line_of(text: str, path: KeyPath) -> int | None:
-    """Return the line, from 1, where the statement stands that gives the innermost part of a path; None without any.
+    """Return the line, from 1, of the statement that gives the innermost part of a path, or None if there is none.
 
-    The standard library's parser does not tell. Whatever ends with a statement is a valid text, and the shortest one
-    that has the key ends with the statement that gives it.
+    The standard library's parser does not report lines. Any text that ends with a statement is valid, and the shortest
+    one that has the key ends with the statement that gives it.
     """
     starts, depth = [0], 0
     for token in _TOKEN.finditer(text):
@@ -493,7 +492,7 @@ def line_of(text: str, path: KeyPath) -> int | None:
 
 
 def _found(path: KeyPath, content: Any) -> int:
-    """Return how many keys of a path lead somewhere in a content."""
+    """Return how many keys of a path exist in a content."""
     for count, key in enumerate(path):
         try:
             content = content[key]
@@ -503,7 +502,7 @@ def _found(path: KeyPath, content: Any) -> int:
 
 
 def _present(path: KeyPath, content: Any) -> KeyPath:
-    """Return the part of a path that the content has, and the key after it: a single text is its own list."""
+    """Return the part of a path that the content has, and the key after it: a single text counts as its own list."""
     for k, key in enumerate(path):
         if isinstance(content, Mapping):
             content = content.get(key) if isinstance(key, str) else None
