@@ -1,4 +1,4 @@
-"""What the commands have to know of a kind of vehicle; the rest is in the kind's own folder and loaded when needed."""
+"""What the commands need to know about a kind of vehicle; its own folder has the rest, which is loaded when needed."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ if TYPE_CHECKING:
 class VehicleKind:
     """A kind of vehicle.
 
-    Functions and classes are named as ``module:name`` and imported by :func:`load`: the daemon shall read a profile
-    without loading what identifies vehicles and designs observers.
+    Functions and classes are named as ``module:name`` and imported by :func:`load`, so that the daemon reads a profile
+    without loading the code that identifies vehicles and designs observers.
     """
 
     name: str  # name on the command line and in profiles, and of its folder
-    watches: str  # components that it watches, for people
+    watches: str  # components that its observers watch, for people
     # function of a :class:`monitor.fitting.fitted.FitRequest`; returns the kind's observer and the gate of the profile
     fit: str
     # Function of a :class:`monitor.fitting.survey.Survey`; returns a :class:`Preview`. Empty: a recording alone cannot
     # tell.
     preview: str = ""
-    messages: str = ""  # Names of the messages that a fit reads. Empty: those that the model's channels name.
-    types: str = ""  # types of ROS 2 whose topics a fit reads, whatever they are called
+    messages: str = ""  # Names of the messages that a fit reads. Empty: the messages that the model's channels name.
+    types: str = ""  # types of ROS 2 messages whose topics a fit reads, whatever the topics are called
     wanted_hz: float = 50.0  # rate at which its messages should come, hertz
     # classes of the transforms that its observers may use, by their names in profiles
     transforms: Mapping[str, str] = field(default_factory=dict)
     type_words: tuple[str, ...] = ()  # words in the names of ``MAV_TYPE`` that say that a vehicle is of this kind
-    flies: bool = True  # whether it leaves the ground: what drives has no landing detector that says anything
-    # functions of a request and the profile's gate; each returns one more observer, None where the recordings lack what
-    # it watches
+    flies: bool = True  # whether it leaves the ground: the landing detector of a ground vehicle is meaningless
+    # functions of a request and the profile's gate; each returns one more observer, or None if the recordings lack its
+    # data
     further: tuple[str, ...] = ()
-    inertial_too: bool = True  # whether the inertial observer is fitted beside its own
+    inertial_too: bool = True  # whether the inertial observer is fitted beside the kind's own observer
     needs_model: bool = False  # whether the user has to give a model file
 
 
@@ -46,9 +46,9 @@ class Preview:
 
     watches: tuple[str, ...]  # fault channels
     channels: tuple[Channel, ...]  # channels that the observer would use
-    rate_hz: float | None  # rate of its samples; None where no message tells
-    missing: tuple[str, ...] = ()  # fault channels that need messages which are not there, and which ones
-    facts: tuple[str, ...] = ()  # what else a fit would go by, a line for people each
+    rate_hz: float | None  # rate of its samples; None if no message tells it
+    missing: tuple[str, ...] = ()  # fault channels that need missing messages, and the names of those messages
+    facts: tuple[str, ...] = ()  # other data that a fit would use, one line each, for people
 
     def to_json(self) -> dict[str, Any]:
         """Return the preview as a JSON object."""
@@ -72,6 +72,6 @@ def load(reference: str) -> Any:
 
 
 def likely_kinds(kinds: Sequence[VehicleKind], vehicle_type: str) -> tuple[VehicleKind, ...]:
-    """Return the kinds of a vehicle that names itself by a ``MAV_TYPE``, the likeliest first: a VTOL flies as two."""
+    """Return the kinds of a vehicle by its ``MAV_TYPE``, the likeliest first: a VTOL flies as two kinds."""
     name = vehicle_type.replace(" ", "_")
     return tuple(kind for kind in reversed(kinds) if any(word in name for word in kind.type_words))

@@ -77,7 +77,7 @@ KINDS = (
 
 
 def kind_named(name: str) -> VehicleKind:
-    """Return the kind with a name; StopIteration where there is none."""
+    """Return the kind with a name; raise StopIteration if there is none."""
     return next(kind for kind in KINDS if kind.name == name)
 
 

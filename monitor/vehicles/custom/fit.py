@@ -46,16 +46,16 @@ from monitor.sampling.phase import FlightPhase
 from monitor.sampling.transform import SampleSource
 
 _SMOOTHING_S = 0.05
-"""Smoothing of estimates before they are evidence, seconds; as in a bank."""
+"""Time constant of the smoothing of estimates before they are evidence, seconds; as in a bank."""
 _LEAST_THRESHOLD = 1e-3
-"""Least threshold, in units of the error that matters: a thousandth of it is no fault."""
+"""Smallest threshold, in units of the error that matters: a thousandth of that error is no fault."""
 _CRITICAL = 5.0
-"""A fault is critical at five times the level that healthy operation reaches."""
+"""Ratio of the critical size to the level that healthy operation reaches."""
 _SHOWN_S = 20.0
-"""Seconds drawn: as many as show single manoeuvres over the width of a page."""
+"""Length of the plot, seconds: it shows single manoeuvres over the width of a page."""
 _FORGET_S = 0.5
-"""Time constant of an observer's start, seconds. Chosen: a gap costs then 2.3 s (a hundredth is left), and faster poles
-let more noise through."""
+"""Time constant with which an observer forgets its start, seconds. Chosen: a gap then costs 2.3 s (until a hundredth of
+the error is left), and faster poles let more noise through."""
 
 
 def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
@@ -137,7 +137,7 @@ def model_channels(model: FreeModel) -> tuple[tuple[Channel, ...], tuple[Channel
 
 
 def comparison_of(fit: OutputErrorFit) -> Comparison:
-    """Return what was kept back, at most :data:`_SHOWN_S` seconds of it, beside what the model says."""
+    """Return at most :data:`_SHOWN_S` seconds of the flight that was kept back, beside the outputs of the model."""
     data = fit.validation
     W, T, p = data.measured.shape
     shown = min(W, max(1, round(_SHOWN_S * fit.rate_hz / T)))
@@ -246,7 +246,7 @@ def _of_one_system(log: BatchSource, names: Collection[str]) -> Iterable[Batch]:
 
 
 def _rate_hz(logs: Sequence[BatchSource], channels: Sequence[Channel], where: str) -> float:
-    """Return the rate of the grid: that of the slowest channel in its slowest log, rounded to a whole number."""
+    """Return the rate of the grid: the rate of the slowest channel in its slowest log, rounded to a whole number."""
     slowest = np.inf
     for number, log in enumerate(logs, 1):
         stamps: dict[str, list[int]] = {channel.name: [] for channel in channels}
@@ -278,9 +278,9 @@ def _check_determined(fit: OutputErrorFit) -> None:
 def _design(
     plant: Plant, rate_hz: float, segments: Sequence[Segment]
 ) -> tuple[tuple[Gains, ...], IndependentRule | BankRule]:
-    """Return one observer where all faults can be estimated together, else a bank.
+    """Return one observer if all faults can be estimated together, otherwise a bank.
 
-    One observer forgets its initial state with a time constant of at most ``_FORGET_S`` where that is possible.
+    A single observer forgets its initial state with a time constant of at most ``_FORGET_S`` if that is possible.
     """
     if problem_of(plant, [fault.name for fault in plant.faults]) is not None:
         bank = compile_bank(plant, design_bank(plant, rate_hz))

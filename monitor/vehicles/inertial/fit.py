@@ -82,70 +82,76 @@ from monitor.vehicles.multirotor.identify import GYROS
 OBSERVER = "inertial"
 
 _RATE_HZ = 25.0
-"""Rate of the observer, hertz: GPS and barometer come at 5 to 25 Hz; means over 40 ms lose nothing of the others."""
+"""Rate of the observer, hertz: GPS and barometer come at 5 to 25 Hz, and means over 40 ms lose nothing of the other
+sensors."""
 _FASTEST_HZ = 100.0
 """Fastest raw rate, hertz: strapdown integrals gain nothing above the bandwidth of the attitude."""
 _WASHOUT_S = 30.0
-"""Positions and angles forget within half a minute. Chosen: drifts of receivers and barometers are slower, spoofs and
-failures faster."""
+"""Time constant with which positions and angles forget, seconds. Chosen: drifts of receivers and barometers are slower,
+spoofs and failures faster."""
 _VELOCITY_WASHOUT_S = 10.0
-"""Velocity forgets within ten seconds: an attitude wrong by 10 mrad makes 1 m/s of gravity in that time, the smallest
-fault that is looked for."""
+"""Time constant with which velocities forget, seconds: an attitude that is wrong by 10 mrad turns gravity into 1 m/s in
+that time, the smallest fault that is looked for."""
 _POSITION_WASHOUT_S = 3.0
-"""Positions that come without a velocity forget within three seconds: they are compared with twice integrated
-accelerations, of which that attitude makes .9 m in that time."""
+"""Time constant with which positions without a velocity forget, seconds: they are compared with twice integrated
+accelerations, and an attitude that is wrong by 10 mrad makes .9 m of them in that time."""
 _SMOOTHING_S = 0.12
-"""Smoothing before hypotheses are compared, seconds: three samples."""
+"""Time constant of the smoothing before hypotheses are compared, seconds: three samples."""
 _WASHOUTS = Washouts(_WASHOUT_S, _VELOCITY_WASHOUT_S, _POSITION_WASHOUT_S)
 _SETTLE_S = 5.0
-"""Wait before samples are evidence, seconds. Chosen: a restarted washout and the first swings after take-off are
-over."""
-# Times of the alarms: two and five samples of 40 ms; the mean reaches over a few fixes of a GPS.
+"""Time before samples are evidence, seconds. Chosen: the transients of a restarted washout and the first swings after
+take-off are over."""
+# Times of the alarms: two and five samples of 40 ms; the time of the slow mean covers several fixes of a GPS.
 _TIMES = Times(fast_s=0.08, raise_s=0.2, slow_s=4.0, clear_s=0.5)
 _JUMP_S = 0.2
-"""Time that the GPS's velocity takes for a jump, seconds: straight lines from fix to fix of receivers at 5 Hz."""
-# What the navigation has decided is beyond doubt.
+"""Duration of a jump of the GPS's velocity, seconds: a straight line from fix to fix of a receiver at 5 Hz."""
+# What the navigation has decided needs no debounce.
 _DECIDED = replace(_TIMES, fast_s=0.0, raise_s=0.0)
-# A jump is known after two means, itself and a level, 1.1 s. A touchdown is one, too, and autopilots know of it 1.2 to
-# 1.5 s later (11 of 12 flights): half a second more leaves them the time to say so.
+# A jump is known after the time of two means, before and after it: 1.1 s. A touchdown is a jump, too, and autopilots
+# report it 1.2 to 1.5 s later (11 of 12 flights): another half second leaves them the time to report it.
 _JUMP = Times(fast_s=0.5, raise_s=0.5, clear_s=0.5)
-# What may be any of a set waits until a jump would have been known.
+# A fault that may be any of a set waits until a jump would have been known.
 _SET = Times(fast_s=9.0 * _JUMP_S, raise_s=9.0 * _JUMP_S, slow_s=4.0, clear_s=0.5)
-# A gyro's bias b tilts the attitude, which moves the magnetic heading by 10 degrees after 0.09 / b seconds (dip of 63
-# degrees), and the motion to its alarm after sqrt(0.2 / b): later by 0.6 s at most. The compass waits for it.
+# A gyro's bias b tilts the attitude. The tilt moves the magnetic heading by 10 degrees after 0.09 / b seconds (dip of
+# 63 degrees), and raises the alarm of the motion after sqrt(0.2 / b), at most 0.6 s later. The compass waits for that
+# time.
 _TILTED = Times(fast_s=_SET.raise_s + 0.6, raise_s=_SET.raise_s + 0.6, slow_s=4.0, clear_s=0.5)
 _SUDDEN = {
     **dict.fromkeys(("gps_north", "gps_east", "gps_down"), GPS[0]),
     "baro": BAROMETER[0],
     "compass": MAGNETOMETER[0],
 }
-"""Faults whose beginning is looked for by likelihood, and a signal that shows them. A receiver drifts by its threshold
-within the washout, as a random walk by the root of that time's share within the test's window: a position that moved
-further in it does not drift. What wind and currents do to barometer and compass comes at once and counts whole."""
+"""Faults whose beginning is detected by likelihood, and a signal that shows each of them. A receiver drifts by its
+threshold within the washout; as a random walk, it drifts within the test's window by the square root of that share
+of time: a position that moved further is no drift. Wind and currents act on barometer and compass at once and in
+full."""
 _BENT = 1e-12
-"""A bend beyond what rounding makes of a straight line, per the signal's size: some thousand times double precision."""
+"""Smallest bend that counts, relative to the signal's size: above the rounding of a straight line, some thousand times
+double precision."""
 _MOST_OF_JUMPS = 1.5
-"""How many times the largest healthy step the level may be: steps are too rare for a tail to be fitted to them."""
+"""Largest ratio of the level to the largest healthy step: steps are too rare to fit a tail to them."""
 _TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
-"""Delays to try, seconds, a sample apart. Chosen: receivers that are later than 0.28 s are rare."""
+"""Delays to try, seconds, one sample apart. Chosen: receivers with a delay of more than 0.28 s are rare."""
 _TRIAL_S = 90.0
-"""Seconds of each flight to try them on, from its middle. Chosen: several manoeuvres, in a trial of some seconds."""
+"""Length of the part of each flight, from its middle, on which delays are tried, seconds. Chosen: it holds several
+manoeuvres, and a trial takes some seconds."""
 _HELD_PERIODS = 3.0
-"""A measurement that stays the same for three times its usual time is no longer waiting for the next one. Chosen: two
-of them may be lost."""
+"""Number of its usual periods after which a measurement that stays the same has stopped. Chosen: two measurements may
+be lost."""
 _LEAST_STUCK_S = 1.0
-"""A receiver that gives the same fix for a second is stuck: in 27 flights of two simulators, with 5 and 8 fixes a
-second, no two fixes in a row were the same."""
+"""Time after which a receiver that repeats a fix is stuck, seconds: in 27 flights of two simulators, with 5 and 8 fixes
+a second, no two consecutive fixes were the same."""
 _LEAST_LEVEL = float(-np.log(FALSE_ALARMS_PER_HOUR / 3600.0 * 0.2))
-"""Logarithm of how rarely one of five comparisons a second may look like a fault: 12.1 (Wald)."""
+"""Least level of the log-likelihood: 12.1, from the granted rate of false alarms at five comparisons a second
+(Wald)."""
 _LEVEL_MARGIN = 1.5
-"""Times the largest score of healthy flight from which a fault is believed. Chosen: as for the score of a bank's
-hypotheses, twice the largest, whose square a likelihood is, would be four; a fault's grows a hundredfold within
-seconds."""
+"""Ratio of the level from which a fault is believed to the largest score of healthy flight. Chosen: the score of a
+bank's hypotheses gets a factor of two, which would be four for a likelihood, its square; the score of a fault grows
+a hundredfold within seconds."""
 _NEVER = 1e9
 """A level that no score reaches."""
 _CRITICAL = 5.0
-"""A fault is critical at five times the smallest that is worth an alarm."""
+"""Ratio of the critical size to the smallest one that is worth an alarm."""
 
 _FLYING = ("rotor", "copter", "wing", "vtol")
 """Words in the types of vehicles that fly."""
@@ -153,24 +159,24 @@ _POSITION = ("gps_north", "gps_east")
 _POOLS = (_POSITION, MOTION, GPS_VELOCITY, GYROS)
 
 _EXCUSES = (
-    # A gyro that jumps, or an estimator that is fed with a wrong GPS, tilts the attitude: motion forgets it with its
+    # A jump of a gyro, or an estimator that receives a wrong GPS, tilts the attitude: motion forgets the tilt with its
     # washout.
     ExcuseRule(MOTION, (*GYROS, *ACCELEROMETERS, *_POSITION, *GPS_VELOCITY), 2.0 * _VELOCITY_WASHOUT_S, precedes=True),
-    # The position is compared with the velocity: where that is wrong the position is no culprit.
+    # The position is compared with the velocity: if the velocity is wrong, the position is not responsible.
     ExcuseRule(_POSITION, GPS_VELOCITY, 0.5 * _VELOCITY_WASHOUT_S),
-    # A tilted attitude takes the magnetic field's dip for heading, which is forgotten with the washout of angles, and
-    # gravity for less of itself.
+    # With a tilted attitude, the dip of the magnetic field appears as heading (forgotten with the washout of angles),
+    # and gravity as less than it is.
     ExcuseRule(("compass",), (*GYROS, *MOTION), 2.0 * _WASHOUT_S),
     ExcuseRule(("accel_z",), (*GYROS, *MOTION), 2.0 * _VELOCITY_WASHOUT_S),
-    # An estimator that was fed with a wrong GPS tilts the attitude, and takes that back afterwards without a rotation.
+    # An estimator that received a wrong GPS tilts the attitude, and later takes the tilt back without a rotation.
     ExcuseRule(GYROS, _POSITION, 2.0 * _VELOCITY_WASHOUT_S),
-    # A tilt that a gyro's fault leaves behind and an accelerometer cannot be told apart in hover.
+    # A tilt that remains after a gyro's fault cannot be told from a fault of an accelerometer in hover.
     ExcuseRule(ACCELEROMETERS, GYROS, 2.0 * _VELOCITY_WASHOUT_S),
 )
 
 
 def fit_alone(request: FitRequest) -> tuple[Fitted, GateRule]:
-    """Fit the inertial observer alone. Of a vehicle that does not fly, armed is enough for samples to be evidence."""
+    """Fit the inertial observer alone. If the vehicle does not fly, samples are evidence whenever it is armed."""
     names = [name for survey in request.surveys for name in survey.vehicle_types]
     gate = GateRule(settle_s=SETTLE_S, require_airborne=any(word in name for name in names for word in _FLYING))
     return fit_inertial(request, gate, alone=True), gate
@@ -179,7 +185,7 @@ def fit_alone(request: FitRequest) -> tuple[Fitted, GateRule]:
 def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) -> Fitted:
     """Measure on healthy recordings how well the sensors agree, design the bank, calibrate its alarms.
 
-    ``alone``: it is the vehicle's only observer, whose rate may be asked for.
+    ``alone``: it is the vehicle's only observer, so that the user may choose its rate.
 
     Raises
     ------
@@ -210,7 +216,7 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
     found = _designed(request, channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
     gyro = next((alarm.rule for alarm in found.alarms if alarm.rule.channel in GYROS), None)
     if gyro is not None and "judge_level" in parameters and gyro.threshold > SMALLEST_GYRO:
-        # What the navigation says of gyros is not limited by how well the attitude agrees with them.
+        # The gyro estimates of the navigation are not limited by how well the attitude agrees with the gyros.
         parameters["attitude_share"] = round(SMALLEST_GYRO / gyro.threshold, 3)
         found = _designed(request, channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
     return found
@@ -245,7 +251,7 @@ def _designed(
         smoothing_s=_SMOOTHING_S,
         settle_s=settle_s,
         noise=np.array([fit.noise[output] for output in fit.outputs]),
-        # twice washed out, nothing of a fault that lasts is left to be given back
+        # positions that are washed out twice: nothing of a lasting fault is left to be given back
         washouts={fault: _WASHOUT_S for fault in WASHED_FAULTS if fault in names - bare},
         edges=GPS_VELOCITY,
         jump_s=_JUMP_S,
@@ -258,7 +264,7 @@ def _designed(
     jumps = [part[: max(0, len(part) - lasting)] for part in healthy_evidence(designed.profile(), gate, flights)]
     alarms = _alarms(designed.profile().faults, own, jumps, rate_hz, smallest_faults(fit), bare)
     if not channels.imu:
-        # what is left of these faults is how far the vehicle is from hovering
+        # without an IMU these estimates show only how far the vehicle is from hovering
         silent = {*MOTION, *GPS_VELOCITY, "accel_z"} | (set() if LEARNED in parameters else set(GYROS))
         alarms = [found for found in alarms if found.rule.channel not in silent]
     changes, alarms = _sudden(raw, signal_hz, channels, designed, alarms, flights)
@@ -283,7 +289,7 @@ def _sudden(
     alarms: Sequence[Calibrated],
     flights: Sequence[Flight],
 ) -> tuple[ChangeRule | None, list[Calibrated]]:
-    """Return how sudden faults of GPS, barometer and compass are told from noise, and the alarms with that path."""
+    """Return the rule for sudden faults of GPS, barometer and compass, and the alarms with that path."""
     rate_hz, plant = designed.gains[0].rate_hz, designed.plant
     watched = {found.rule.channel for found in alarms}
     signals = [channel.name for channel in channels.channels]
@@ -326,20 +332,20 @@ def _line_s(raw: Sequence[Flight], index: int, signal_hz: float) -> float:
         lines.append(np.diff(first))
         bent, count = bent + int(bends.sum()), count + len(bends)
     steps = np.concatenate(lines)
-    # Of lines of three samples and more two samples in three bend at most.
+    # A line of three samples and more bends at two samples in three at most.
     ticks = float(np.median(steps)) if len(steps) and 3 * bent <= 2 * count else 1.0
     return round(ticks / signal_hz, 3)
 
 
 def _data(segments: Sequence[Segment], transform: Strapdown, rate_hz: float) -> InertialData:
-    """Return what sensors are compared in."""
+    """Return the signals in which the sensors are compared."""
     return InertialData(segments, transform.inputs, transform.outputs, rate_hz, _WASHOUTS)
 
 
 def _field(
     raw: Sequence[Flight], parameters: Mapping[str, float], signal_hz: float, rate_hz: float
 ) -> dict[str, float]:
-    """Return noise and random walk of the magnetic field's direction, as the navigation compares it."""
+    """Return noise and random walk of the magnetic field's direction, as the navigation uses it."""
     transform = Strapdown(parameters, signal_hz, rate_hz)
     flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
     segments = [segment for flight in flights for segment in flight.segments()]
@@ -362,8 +368,8 @@ def _judge_level(raw: Sequence[Flight], parameters: Mapping[str, float], signal_
 def _bias_angles(gains: Sequence[Gains]) -> dict[str, float]:
     """Return the angle about each axis from which a gyro's estimate jumps by 1 rad/s, seconds.
 
-    The estimate follows an angle that stays as exp(-t / T) / T, behind some samples of rise, and a bias that ends as
-    exp(-t / T): set back by T times the bias, it jumps, and stays there.
+    After some samples of rise, the estimate follows a constant angle as exp(-t / T) / T, and a bias that ends as
+    exp(-t / T). If the rotation is set back by T times the bias, the estimate jumps, and stays there.
     """
     angles, rows = {}, round(gains[0].rate_hz)
     for gyro in GYROS:
@@ -377,24 +383,25 @@ def _bias_angles(gains: Sequence[Gains]) -> dict[str, float]:
 
 
 _FROZEN_S = 0.5
-"""Time for which no value of IMU and attitude changes, after which they are frozen. Chosen: two samples over the
-slowest radio (4 Hz); nine values with noise do not repeat once."""
+"""Time without a change of any value of IMU and attitude after which they are frozen, seconds. Chosen: two samples over
+the slowest radio (4 Hz); nine noisy values do not repeat once."""
 _REPEATED = 5.0
-"""Times as long as in healthy flight that they have to stay the same. Chosen: simulators without noise repeat them."""
+"""Least ratio of that time to the longest repetition in healthy flight. Chosen: simulators without noise repeat
+values."""
 
 
 def _sampled(request: FitRequest, source: StrapdownSource, gate: GateRule) -> tuple[list[Flight], float, float]:
-    """Return the flights' raw signals, their rate and that of the observer, a whole fraction of it."""
+    """Return the flights' raw signals, their rate, and the rate of the observer, which is a whole fraction of it."""
     signal_hz = min(inertial_rate_hz(request.surveys, source), _FASTEST_HZ)
     rate_hz = signal_hz / max(1, round(signal_hz / _RATE_HZ))
     if LEARNED in source.parameters:
-        # which messages came at the same time
+        # tells which messages came at the same time
         signal_hz *= max(1, round(_RATE_HZ / signal_hz))
     return raw_flights(request.logs, source.channels, signal_hz, gate), signal_hz, rate_hz
 
 
 def _told(raw: Sequence[Flight], signal_hz: float) -> bool:
-    """Return whether every flight tells most of the time what its estimator had learned to take off the gyros."""
+    """Return whether every flight shows most of the time the bias that its estimator has learned of the gyros."""
     hold = round(LEARNED_HOLD_S * signal_hz)
     lost = [LearnedBias(hold).run(flight.samples).lost[flight.evidence, 3] for flight in raw]
     return all(2 * missing.sum() < len(missing) for missing in lost)
@@ -403,7 +410,7 @@ def _told(raw: Sequence[Flight], signal_hz: float) -> bool:
 def _holds(
     surveys: Sequence[Survey], channels: Sequence[Channel], raw: Sequence[Flight], signal_hz: float
 ) -> dict[str, float]:
-    """Return how long a fix, a magnetic field, and all of the IMU may stay the same until the next measurement."""
+    """Return how long a fix, a magnetic field, and the whole IMU may stay the same until the next measurement."""
     holds = {}
     repeated = [_longest_same(flight.samples.u[flight.evidence, : len(IMU)]) / signal_hz for flight in raw]
     if repeated and _REPEATED * max(repeated) <= _FROZEN_S:
@@ -424,7 +431,7 @@ def _holds(
 
 
 def _longest_same(rows: NDArray[np.float64]) -> int:
-    """Return for how many rows all values stayed the same at most."""
+    """Return the largest number of rows for which all values stayed the same."""
     changes = np.flatnonzero((np.diff(rows, axis=0) != 0.0).any(axis=1))
     return int(np.diff(np.concatenate([[-1], changes, [len(rows) - 1]])).max()) - 1 if len(rows) else 0
 
@@ -432,7 +439,7 @@ def _longest_same(rows: NDArray[np.float64]) -> int:
 def _delays(
     raw: Sequence[Flight], parameters: Mapping[str, float], signal_hz: float, rate_hz: float
 ) -> dict[str, float]:
-    """Return by how much GPS, barometer and compass are late, from trial delays over the middle of each flight."""
+    """Return the delays of GPS, barometer and compass, from trial delays over the middle of each flight."""
     keys = ("gps_delay_s", "baro_delay_s", "compass_delay_s")
     length = round(_TRIAL_S * signal_hz)
     trials = {}
@@ -461,10 +468,10 @@ def _alarms(
     smallest: Mapping[str, float],
     swinging: Collection[str],
 ) -> list[Calibrated]:
-    """Return the alarms; channels of one kind share their levels, since what one axis has not seen another has.
+    """Return the alarms. Channels of one kind share their levels: one axis may have seen what another has not.
 
-    ``own`` is the evidence of each fault under its own hypothesis, ``jumps`` that of edges, which only show for a
-    moment, but for those that would end too soon to raise an alarm.
+    ``own`` is the evidence of each fault under its own hypothesis. ``jumps`` is the evidence of edges, which appear for
+    a moment only, without the edges that would end too soon to raise an alarm.
     """
     share = FALSE_ALARMS_PER_HOUR / len(channels)
     places = {channel.name: at for at, channel in enumerate(channels)}
@@ -484,10 +491,10 @@ def _alarms(
         bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
         found = calibrated(bare, levels, 1.0, floor=floor, critical=_CRITICAL * floor, times=times)
         if channel.unit == "rad" and found.rule.threshold > pi:
-            continue  # no heading is that far off
+            continue  # no heading is off by more than that
         if edges:
             found = plain_only(found)
-        # what is washed out twice swings back to a seventh of a jump, of which the mean knows nothing
+        # a jump that is washed out twice swings back by a seventh of its size, which the slow mean does not allow for
         alarms.append(replace(found, rule=replace(found.rule, slow=inf)) if channel.name in swinging else found)
     return alarms
 

@@ -46,37 +46,37 @@ from monitor.vehicles.inertial.strapdown import ACCELEROMETERS
 
 VERTICAL_CULPRITS = ("baro", "gps_down", "accel_z")
 GPS_VELOCITY = ("gps_velocity_north", "gps_velocity_east")
-"""Faults that are watched for edges, in place of those of motion."""
+"""Faults that are watched for edges, in place of the faults of motion."""
 MOTION = ("motion_north", "motion_east")
 WASHED_FAULTS = ("gps_north", "gps_east", "gps_down", "baro", "compass")
-"""Faults whose estimate fades with ``washout_s`` although they stand; the monitor gives them back.
+"""Faults whose estimate fades with ``washout_s`` although the fault lasts; the monitor undoes the washout.
 
-Not the velocity: its washout is what keeps the error of a tilted attitude from standing for ever.
+The velocity is not among them: its washout lets the error of a tilted attitude fade.
 """
 
 SMALLEST_GYRO = 0.015
 """Smallest bias of a gyro that is worth an alarm, rad/s: see :func:`smallest_faults`."""
 _SMALLEST = 1e-4
-"""Least error of a state, in its unit: keeps the design finite where a simulator has no noise."""
+"""Smallest error of a state, in its unit: it keeps the design finite if a simulator has no noise."""
 _H2_SHARE = 0.9
-"""Weight of the mean square of errors against their worst case. Chosen: what these observers see all day is healthy
-noise."""
+"""Weight of the mean square of errors against their worst case. Chosen: these observers receive healthy noise nearly
+all the time."""
 _FORGETS = 0.5
-"""Share that is left, a sample later, of what a judged accelerometer was off without a fault, which is nothing."""
+"""Share of a judged accelerometer's error that is left one sample later. Without a fault the error is zero."""
 _TILT = 0.01
-"""Error of the attitude of good autopilots, rad."""
+"""Attitude error of good autopilots, rad."""
 
 
 _GYRO_BANDWIDTH = 0.15
-"""How fast a gyro's bias may move, as a share per second of the attitude's own random walk (rad/s): the bandwidth of
-its estimate, the same for a calm and for a noisy axis."""
+"""Rate at which a gyro's bias may change, per second, as a share of the random walk of the attitude (rad/s): the
+bandwidth of its estimate, the same for a calm and for a noisy axis."""
 _ACCEL_RATE = 0.1
-"""How fast the bias of the vertical accelerometer may move, m/s^2 per second. The other faults are sensor faults, which
-may jump."""
+"""Rate at which the bias of the vertical accelerometer may change, m/s^2 per second. The other faults are sensor
+faults, which may jump."""
 
 
 def inertial_plant(fit: InertialFit, name: str) -> Plant:
-    """Return the blocks whose signals are there as one discrete plant, with the faults that may act in it."""
+    """Return the blocks whose signals exist as one discrete plant, with the faults that may act in it."""
     chains = chains_of(fit.inputs, fit.outputs, fit.washouts)
     vertical = [output for output in ("gps_down", "baro_down") if output in fit.outputs]
     bare = bare_positions(fit.inputs, fit.outputs)
@@ -137,10 +137,10 @@ def inertial_plant(fit: InertialFit, name: str) -> Plant:
 
 
 def inertial_hypotheses(plant: Plant) -> tuple[tuple[str, ...], ...]:
-    """Return the sets of faults to make observers for: all that are told apart, with one vertical culprit each.
+    """Return the sets of faults to design observers for: all that can be told apart, with one vertical fault each.
 
-    With one altitude only the accelerometer is left to be named, and there is one hypothesis. The last one, where there
-    is motion, has the velocity of the GPS in its place, for its edges.
+    With one altitude, only the accelerometer can be held responsible, and there is one such hypothesis. If there is
+    motion, the last hypothesis has the velocity of the GPS in its place, for its edges.
     """
     names = tuple(fault.name for fault in plant.faults)
     culprits = tuple(name for name in VERTICAL_CULPRITS if name in names)
@@ -159,11 +159,13 @@ def inertial_bank(plant: Plant) -> tuple[Hypothesis, ...]:
 def smallest_faults(fit: InertialFit) -> dict[str, float]:
     """Return the smallest size of each fault that is worth an alarm, however calm the healthy flights were.
 
-    Positions half a metre: beyond what receivers and barometers drift within the washout. Motion: what an attitude
-    that is wrong by 10 mrad, as good autopilots are, makes of gravity within the velocity's washout. Jumps of the GPS's
-    velocity 0.3 m/s: three times the noise of a receiver (0.1 m/s, 50 % circular, in data sheets). Compass 10 degrees:
-    what a power cable may do. Gyro 0.015 rad/s: a gyro that was calibrated drifts by two thirds of it while it warms up
-    (0.015 degrees/s per kelvin over 40 kelvin, BMI088). Accelerometer 0.5 m/s^2: beyond biases that estimators learn.
+    - Positions half a metre: more than receivers and barometers drift within the washout.
+    - Motion: gravity through an attitude error of 10 mrad, that of good autopilots, within the velocity's washout.
+    - Jumps of the GPS's velocity 0.3 m/s: three times the noise of a receiver (0.1 m/s, 50 % circular, in data sheets).
+    - Compass 10 degrees: the effect of a power cable.
+    - Gyro 0.015 rad/s: a calibrated gyro drifts by two thirds of it while it warms up (0.015 degrees/s per kelvin over
+      40 kelvin, BMI088).
+    - Accelerometer 0.5 m/s^2: more than the biases that estimators learn.
     """
     motion = STANDARD_GRAVITY * _TILT * fit.washouts.velocity
     sizes = {

@@ -16,13 +16,13 @@ from adapters.errors import TelemetryError
 from monitor.vehicles.inertial.strapdown import BODY_SPEED, GPS, IMU
 
 TYPES = frozenset({"sensor_msgs/Imu", "sensor_msgs/NavSatFix", "nav_msgs/Odometry"})
-"""Types of ROS 2 that are read; their topics are known by their fields."""
+"""Types of ROS 2 messages that are read; their topics are recognised by their fields."""
 BARE_POSITIONS, BODY_VELOCITY = 2.0, 3.0
-"""The transform's ``gps``: positions without a velocity, and with one in body axes."""
+"""Values of the transform's ``gps``: positions without a velocity, and with a velocity in body axes."""
 
 _IMU_FIELDS = ("orientation", "angular_velocity", "linear_acceleration")
 _AHEAD_RIGHT_DOWN = (("x", 1.0), ("y", -1.0), ("z", -1.0))
-"""Fields of vectors in body axes, and their signs in the transform's (REP 103)."""
+"""Fields of vectors in body axes, and their signs in the transform's axes (REP 103)."""
 # Odometry counts metres from its start. As degrees near the point of no latitude and longitude, where the transform
 # takes them back to metres: lengths of a degree of latitude and of longitude there, by WGS-84.
 _METRES_NORTH = radians(6_378_137.0 * (1.0 - 6.694_379_990_14e-3))
@@ -99,7 +99,7 @@ _NAV_SAT_FIX = ("latitude", "longitude", "altitude")
 def _attitude(
     imu: str, odometry: str | None, examples: Mapping[str, Mapping[str, Any]]
 ) -> tuple[str, tuple[str | int, ...]]:
-    """Return topic and place of the quaternion."""
+    """Return topic and index of the quaternion."""
     places: list[tuple[str, tuple[str | int, ...]]] = [(imu, ("orientation",))]
     if odometry is not None:
         places.append((odometry, ("pose", "pose", "orientation")))
@@ -116,4 +116,4 @@ def _attitude(
 
 
 _NO_ORIENTATION = -1.0
-"""First element of Imu.orientation_covariance where the driver has no orientation (sensor_msgs/msg/Imu)."""
+"""First element of Imu.orientation_covariance if the driver has no orientation (sensor_msgs/msg/Imu)."""

@@ -20,38 +20,38 @@ from gains.identification.segment import Segment
 from monitor.vehicles.inertial.strapdown import ACCELEROMETERS
 
 Made = Callable[[NDArray[np.float64], float, float], NDArray[np.float64]]
-"""From an input (N,), its rate and a time constant to what an output should be (N,)."""
+"""Function of an input (N,), its rate and a time constant that returns the expected output (N,)."""
 HORIZONTAL = ("north", "east")
 BODY = ("x", "y", "z")
 
 _LEAST_S = 20.0
-"""Less healthy motion leaves too few independent spans of ``_SLOW_S`` to measure a drift on: five."""
+"""Least healthy motion, seconds: less leaves fewer than five independent spans of ``_SLOW_S`` to measure a drift on."""
 _SETTLE_S = 5.0
-"""Beginning of each segment that is left out, seconds, while the compared integrals begin at zero."""
+"""Beginning of each segment that is left out, seconds: the compared integrals begin at zero."""
 BARE_SETTLE_S = 10.0
-"""The same where positions come without a velocity. Chosen: an error of 1 m/s of the speed at the start, as of two
-fixes that are off by a tenth of a metre, has faded to .4 m (v t exp(-t / 3 s))."""
+"""The same for positions that come without a velocity. Chosen: a speed error of 1 m/s at the start, as from two fixes
+that are off by a tenth of a metre, has faded to .4 m (v t exp(-t / 3 s))."""
 _FAST_S = 0.5
-"""Differences over half a second show noise. Chosen: drifts are too slow to matter in that time."""
+"""Span of the differences that show noise, seconds. Chosen: drifts are too slow to matter in that time."""
 _SLOW_S = 4.0
-"""Differences over four seconds show drift; longer spans would be too few in short flights."""
+"""Span of the differences that show drift, seconds; longer spans would be too few in short flights."""
 _SHOWN = 1.05
-"""Mean squares have to differ by 5 % for a delay to be read from them. Chosen: less may be chance in minutes of
-flight."""
+"""Least ratio of the mean squares from which a delay is read. Chosen: a difference of less than 5 % may be chance in
+minutes of flight."""
 _EXCITED = 20.0
-"""A scale is read where the motion is twenty times what it leaves: it is then known within 5 %."""
+"""Least ratio of the motion to the remaining difference from which a scale is read: it is then known within 5 %."""
 _LARGEST_SCALE_ERROR = 0.05
-"""The earth's ellipsoid against a sphere makes 0.7 % at most; a scale that is off by more than 5 % is no scale."""
+"""Largest error of a scale: the earth's ellipsoid against a sphere makes 0.7 % at most, so a larger one is no scale."""
 _SMALLEST = 1e-4
-"""Least noise and drift, in the unit of the output: keeps the design finite where a simulator has none."""
+"""Least noise and drift, in the unit of the output: they keep the design finite if a simulator has none."""
 
 
 class Washouts(NamedTuple):
     """Time constants of the transform, seconds."""
 
-    position: float  # of positions and angles
+    position: float  # for positions and angles
     velocity: float
-    bare: float  # of positions that come without a velocity, twice
+    bare: float  # for positions that come without a velocity, applied twice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,29 +65,29 @@ class InertialData:
     washouts: Washouts
 
     def errors(self, source: str, output: str, tau: float, made: Made, settle_s: float) -> list[NDArray[np.float64]]:
-        """Return by how much an output is off what ``made`` makes of an input, without the beginning of segments."""
+        """Return an output minus the one that ``made`` computes from an input, without the beginning of segments."""
         i, j, settle = self.inputs.index(source), self.outputs.index(output), round(settle_s * self.rate_hz)
         return [(part.y[:, j] - made(part.u[:, i], self.rate_hz, tau))[settle:] for part in self.segments]
 
     def bare_errors(self, axis: str) -> list[NDArray[np.float64]]:
-        """Return by how much a position that comes without a velocity is off what its acceleration makes of it."""
+        """Return a position that comes without a velocity minus the one that its acceleration gives."""
         return self.errors(f"acceleration_{axis}", f"gps_{axis}", self.washouts.bare, twice_washed, BARE_SETTLE_S)
 
     def has(self, source: str, output: str) -> bool:
-        """Return whether both are there."""
+        """Return whether both signals exist."""
         return source in self.inputs and output in self.outputs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialFit:
-    """What healthy flights say about how well the sensors agree."""
+    """How well the sensors agree in healthy flights."""
 
     rate_hz: float
     washouts: Washouts
     # names as the transform gives them
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    speed_scale: Mapping[str, float]  # s of position north and east; 1 where flight did not show it
+    speed_scale: Mapping[str, float]  # s of position north and east; 1 if the flights did not show it
     noise: Mapping[str, float]  # noise of each output, in its unit
     disturbance: Mapping[str, float]  # random walk of each state within one period, in its unit
     seconds: float  # healthy flight used
@@ -95,7 +95,8 @@ class InertialFit:
 
 _LEAST_WALK = 0.005
 """Least random walk of a magnetic heading, rad per root of a second. Measured: in 4 s the headings of six healthy
-flights of three simulated vehicles turn otherwise than the gyros by 0.0025 to 0.011 rad; noise hides it elsewhere."""
+flights of three simulated vehicles turn 0.0025 to 0.011 rad more or less than the gyros; in other flights noise
+hides it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +112,8 @@ class Chain:
 def identify_inertial(data: InertialData) -> InertialFit:
     """Measure how well the sensors agree in healthy flight.
 
-    Noise is what the difference between an output and the integral of its input does within half a second, disturbance
-    what it does beyond that within four.
+    Noise is the change of the difference between an output and the integral of its input within half a second,
+    disturbance its further change within four seconds.
 
     Raises
     ------
@@ -219,9 +220,9 @@ def field_noise(data: InertialData, over_s: float) -> dict[str, float]:
 
 
 def best_delays(trials: Mapping[float, Mapping[str, float]]) -> dict[str, float]:
-    """Return each sensor's delay from the costs at each trial delay: the least of a parabola through the best three.
+    """Return each sensor's delay from the costs at each trial delay: the minimum of a parabola through the best three.
 
-    Zero where flight does not show it: the costs hardly differ, or are least at the end of the range.
+    Zero if the flights do not determine it: the costs hardly differ, or are least at the end of the range.
     """
     delays = sorted(trials)
     found = {}
@@ -247,10 +248,10 @@ def washed(rate: NDArray[np.float64], rate_hz: float, tau: float) -> NDArray[np.
 
 
 def twice_washed(acceleration: NDArray[np.float64], rate_hz: float, tau: float) -> NDArray[np.float64]:
-    """Return the position (N,) that an acceleration makes, speed and position both washed out."""
+    """Return the position (N,) that follows from an acceleration, with speed and position washed out."""
     speed = washed(acceleration, rate_hz, tau)
     keep, gain = washout(tau, rate_hz)
-    # the mean of a period's speed: half of those at its ends
+    # the mean speed of a period: half the sum of the speeds at its ends
     return washed(0.5 * ((1.0 + keep) * speed + gain * acceleration), rate_hz, tau)
 
 
@@ -260,7 +261,7 @@ def bare_positions(inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
 
 
 def chains_of(inputs: Sequence[str], outputs: Sequence[str], washouts: Washouts) -> list[Chain]:
-    """Return the blocks with one state whose signals are there."""
+    """Return the blocks with one state whose signals exist."""
     slow, fast = washouts.position, washouts.velocity
     found = [
         *(Chain(f"position_{axis}", f"speed_{axis}", f"gps_{axis}", slow) for axis in HORIZONTAL),
@@ -275,7 +276,7 @@ def chains_of(inputs: Sequence[str], outputs: Sequence[str], washouts: Washouts)
 
 
 def _scale(x: Sequence[NDArray[np.float64]], y: Sequence[NDArray[np.float64]]) -> float:
-    """Return the ratio of y to x, 1 where they moved too little to show it."""
+    """Return the ratio of y to x, or 1 if they moved too little to show it."""
     flat, measured = np.concatenate(x), np.concatenate(y)
     energy = float(flat @ flat)
     if energy <= 0.0:

@@ -19,32 +19,32 @@ from monitor.vehicles.inertial.strapdown import BAROMETER, ESTIMATED, GPS, IMU, 
 MESSAGES = FlightPhase.interests | frozenset({"ATTITUDE", *IMUS, "GPS_RAW_INT", "SCALED_PRESSURE"})
 
 _LARGEST = 1.7e308
-"""Numbers up to here are floats without overflow."""
+"""Largest number that is a float without overflow."""
 _FIX = ("fix_type", 2.0)
-"""GPS_FIX_TYPE_2D_FIX of MAVLink: below it a receiver has no position, whatever its message repeats."""
+"""GPS_FIX_TYPE_2D_FIX of MAVLink: below it a receiver has no position, and its message may repeat an old one."""
 _SELDOM = ("GPS_RAW_INT", "SCALED_PRESSURE")
-"""Messages that no autopilot sends as fast as those of its IMU; the transform waits for them."""
+"""Messages that no autopilot sends as often as those of its IMU; the transform waits for them."""
 NAVIGATED_HZ = 10.0
-"""Least rate of the IMU for its integrals to mean anything: two samples between two fixes. At 2 Hz three of twelve
-flights raised an accelerometer, and a GPS that walked away at 0.7 m/s was seen after 13 s, without it after 5.6."""
+"""Least rate of the IMU for which its integrals are meaningful, hertz: two samples between two fixes. At 2 Hz three of
+twelve flights raised the alarm of an accelerometer, and a GPS that drifted away at 0.7 m/s was detected after 13 s
+instead of 5.6 s without the IMU."""
 _GYRO_SCALE = 1e-3
-"""SCALED_IMU and RAW_IMU count milliradians per second."""
+"""Unit of SCALED_IMU and RAW_IMU, rad/s: they count milliradians per second."""
 LEARNED_HOLD_S = 10.0
-"""For how long what an estimator has learned of a bias holds, seconds: in that time ArduPilot's learned half of one (on
-two flights)."""
+"""Time for which the bias that an estimator has learned stays valid, seconds: in that time ArduPilot's estimator
+learned half of a bias (on two flights)."""
 _HOVERING = ("rotor", "copter")
-"""Words in the types of vehicles whose thrust carries them."""
+"""Words in the types of vehicles that are carried by their thrust."""
 _ENOUGH = 0.5
-"""Share of HIGHRES_IMU's rate from which on a raw message is preferred to a corrected one. Chosen: what a slow fault of
-a sensor loses by half the samples is little beside its fading within seconds.
-"""
+"""Share of HIGHRES_IMU's rate from which a raw message is preferred to a corrected one. Chosen: half the samples cost
+little for a slow fault of a sensor, compared with its fading within seconds in corrected ones."""
 
 
 class StrapdownSource(NamedTuple):
-    """Channels in the order of the transform's signals, and its parameters that say which of them are there.
+    """Channels in the order of the transform's signals, and the transform's parameters that say which signals exist.
 
-    Messages in ``seldom`` come less often than those of the IMU; the transform waits for them. Without an ``imu`` the
-    vehicle is taken to hover at its attitude.
+    Messages in ``seldom`` come less often than those of the IMU; the transform waits for them. Without an ``imu``, the
+    vehicle is assumed to hover at its attitude.
     """
 
     channels: tuple[Channel, ...]
@@ -117,7 +117,7 @@ def strapdown_channels(examples: Mapping[str, Mapping[str, Any]], imus: Iterable
 
 
 def _trim() -> list[Channel]:
-    """Return the channels of a vehicle that hovers at its attitude, where no message holds its IMU, as over radios.
+    """Return the channels of a vehicle without messages of its IMU (as over radios), which is assumed to hover.
 
     Its thrust carries it: the specific force is that of gravity, against the body's z axis; the rates are those that
     the autopilot estimates.
@@ -136,7 +136,7 @@ def _rates(names: Sequence[str]) -> list[Channel]:
 
 
 def common_channels(surveys: Sequence[Survey]) -> StrapdownSource:
-    """Choose the channels from the messages that every recording holds: an autopilot's, else those of ROS 2."""
+    """Choose the channels from the messages that every recording holds: an autopilot's, otherwise those of ROS 2."""
     examples = _examples(surveys)
     if "ATTITUDE" not in examples:
         rates = {name: least_hz(surveys, name) for name in examples}
@@ -151,9 +151,9 @@ def _examples(surveys: Sequence[Survey]) -> dict[str, Mapping[str, Any]]:
 
 
 def with_learned_biases(surveys: Sequence[Survey], source: StrapdownSource) -> StrapdownSource | None:
-    """Return a source without an IMU with gyros that come too seldom to be integrated; None where there are none.
+    """Return a source without an IMU, with gyros too seldom to be integrated; None if there are no gyros.
 
-    They tell what the autopilot's estimator has learned to take off them.
+    These gyros show the bias that the autopilot's estimator subtracts from them.
     """
     examples = {} if source.imu else _examples(surveys)
     slow = next((name for name in ("SCALED_IMU", "RAW_IMU") if name in examples and _tells_biases(surveys, name)), None)
@@ -168,14 +168,14 @@ def with_learned_biases(surveys: Sequence[Survey], source: StrapdownSource) -> S
 
 
 def _tells_biases(surveys: Sequence[Survey], message: str) -> bool:
-    """Return whether the gyros of a message are raw where the rates of ATTITUDE are less what an estimator learned."""
+    """Return whether the gyros of a message are raw, whereas the rates of ATTITUDE have the learned bias subtracted."""
     return all(corrected(survey, "ATTITUDE") and not corrected(survey, message) for survey in surveys)
 
 
 def _imus(surveys: Sequence[Survey], gps: bool) -> tuple[str, ...]:
     """Return the messages of inertial measurements, the preferred ones first: raw ones that come often enough.
 
-    Those that come too seldom are none for a vehicle that hovers at its attitude and has a GPS.
+    Messages that come too seldom are left out for a vehicle that hovers at its attitude and has a GPS.
     """
     least = _ENOUGH * least_hz(surveys, "HIGHRES_IMU")
 
@@ -237,5 +237,5 @@ def _there(examples: Mapping[str, Mapping[str, Any]], message: str, names: tuple
 
 
 def _unknown(fields: Mapping[str, Any]) -> bool:
-    """Return whether speed or course hold the value that stands for unknown."""
+    """Return whether speed or course hold the value for unknown."""
     return 65_535 in (fields["vel"], fields["cog"])

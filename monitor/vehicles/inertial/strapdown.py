@@ -46,16 +46,16 @@ BODY_SPEED = ("speed_x", "speed_y", "speed_z")
 BAROMETER = ("baro_alt",)
 MAGNETOMETER = ("xmag", "ymag", "zmag")
 ESTIMATED = ("rate_x", "rate_y", "rate_z")
-"""Rates that the autopilot estimates, which are less the bias that it has learned."""
+"""Rates that the autopilot estimates: its gyros without the bias that it has learned."""
 LEARNED = "learned_hold_s"
 """Parameter of a transform whose gyros come too seldom to be integrated."""
 ACCELEROMETERS = ("accel_x", "accel_y")
-"""Outputs of the navigation: by how much an accelerometer reads too much while it is held responsible."""
+"""Outputs of the navigation: the error of an accelerometer while it is held responsible."""
 
 _JUDGED = ("gyro_x", "gyro_y", "gyro_z", *ACCELEROMETERS, "compass")
-"""Faults whose sizes the navigation knows the uncertainty of."""
+"""Faults for whose sizes the navigation gives an uncertainty."""
 FIX_S = 0.2
-"""Seconds between comparisons of the navigation with the GPS. Receivers give 5 to 10 fixes a second."""
+"""Time between comparisons of the navigation with the GPS, seconds. Receivers give 5 to 10 fixes a second."""
 
 DEFAULTS = {
     "gps": 1.0,
@@ -79,9 +79,9 @@ DEFAULTS = {
     "bias_angle_y_s": 0.0,
     "bias_angle_z_s": 0.0,
 }
-"""Parameters that are left out. Chosen: positions and angles are forgotten within 30 s, over which receivers and
-barometers drift by half a metre; velocities within 10 s, in which an attitude that is wrong by 10 mrad makes 1 m/s of
-gravity; positions without a velocity within 3 s, in which it makes .9 m."""
+"""Values of parameters that are not given. Chosen: positions and angles are forgotten within 30 s, over which receivers
+and barometers drift by half a metre; velocities within 10 s, in which an attitude that is wrong by 10 mrad turns
+gravity into 1 m/s; positions without a velocity within 3 s, in which such an attitude makes .9 m."""
 
 
 class Strapdown:
@@ -182,7 +182,7 @@ class Strapdown:
         )
 
     def run(self, samples: Samples) -> Given:
-        """Return the observer's samples that raw signals (``samples.u``) complete, each where its period ends."""
+        """Return the observer's samples that raw signals (``samples.u``) complete, each at the end of its period."""
         given = self._core.run(self._learned.run(samples) if self._learned else samples)
         if self.navigation is None:
             return given
@@ -195,7 +195,7 @@ class Strapdown:
 
 
 class LearnedBias:
-    """What the autopilot's estimator takes off its gyros: raw ones that come seldom less its rates of the same time.
+    """The bias that the autopilot's estimator subtracts: seldom raw gyros minus its rates of the same time.
 
     A difference holds for ``hold`` samples; then the gyros are lost.
     """
@@ -206,15 +206,16 @@ class LearnedBias:
         self._news = np.zeros((1, 2), np.bool_)
 
     def run(self, samples: Samples) -> Samples:
-        """Return samples with that in place of the gyros, without the estimated rates."""
+        """Return samples with that bias in place of the gyros, and without the estimated rates."""
         u, lost = samples.u[:, :-3].copy(), samples.lost[:, :-3].copy()
         if not len(samples):
             return replace(samples, u=u, lost=lost)
         both = np.hstack([u[:, 3:6], samples.u[:, -3:]])
         changed = both != np.vstack([self._before, both[:-1]])
         news = np.vstack([self._news, np.column_stack([changed[:, :3].any(axis=1), changed[:, 3:].any(axis=1)])])
-        # Messages of one time come at one sample, or at two. What comes further apart belongs to another motion:
-        # rates on the line between two messages make the least bias that can be seen ten times as large.
+        # Messages of one time come at one sample or at two. Messages that are further apart belong to different
+        # motions: with rates on the line between two messages, the smallest bias that can be seen would be ten times as
+        # large.
         together = (news[1:] | news[:-1]).all(axis=1) & ~news[:-1].all(axis=1)
         rows = np.arange(1, len(both) + 1)
         newest = np.maximum.accumulate(np.where(together, rows, 0))

@@ -1,9 +1,9 @@
 """The airspeed observer of a plane: whether the pitot tube agrees with GPS and wind.
 
-The indicated airspeed, taken to a true one by the altitude and a scale that is learned, is compared with the speed
-through the air that the GPS's velocity and the wind make; the wind is followed (:mod:`monitor.core.airspeed`). The
-compass is asked at the start alone. A wrong airspeed scales what surfaces are expected to do: they are not accused
-beside it.
+The true airspeed follows from the indicated one by the altitude and a learned scale. It is compared with the speed
+through the air that follows from the GPS's velocity and the wind; the wind is estimated all the time
+(:mod:`monitor.core.airspeed`). The compass is used at the start only. A wrong airspeed changes the expected effects of
+the surfaces: while its alarm is active, no surface is held responsible.
 """
 
 from __future__ import annotations
@@ -37,31 +37,35 @@ _PARAMETERS = ("scale", "noise", "level", "minimum_speed")
 _GPS = (SPEED, COURSE, "gps_alt")
 _SIGNALS = ("airspeed", *_GPS, "yaw")
 _FASTEST_HZ = 10.0
-"""Chosen: autopilots filter airspeed by 1 to 2 Hz, GPS receivers have 5 to 10 fixes a second."""
+"""Fastest rate of the observer, hertz. Chosen: autopilots filter airspeed by 1 to 2 Hz, GPS receivers have 5 to 10
+fixes a second."""
 _SLOWEST = 0.5
 """Share of the usual speed below which a plane is on the ground, as for its surfaces."""
 _SMALLEST, _CRITICAL = 0.1, 0.3
-"""Shares of the usual speed that are worth an alarm, and critical. Chosen: a tenth makes dynamic pressure a fifth
-larger, and with it what every surface is expected to do; planes are flown at 1.3 times their stall speed and more, so
-an airspeed that is 30 % too fast stalls one."""
+"""Errors that are worth an alarm, and critical, as shares of the usual speed. Chosen: a tenth makes the dynamic
+pressure, and with it the expected effect of every surface, a fifth larger; planes are flown at 1.3 times their stall
+speed and more, so an airspeed that reads 30 % too high stalls one."""
 _LEVEL = 0.5
-"""Share of that from which the sensor's error is let free: before its alarm, beyond what gusts leave in a second."""
+"""Share of the smallest alarm from which the sensor's error is estimated freely: before its alarm, and above what gusts
+leave in a second."""
 _TIMES = Times(fast_s=0.2, raise_s=0.7, slow_s=3.0, clear_s=1.5)
-"""Chosen: gusts last for a second; twice the smallest size is none."""
+"""Times of the alarm. Chosen: gusts last for a second, and no gust changes the airspeed by twice the smallest alarm."""
 _STANDARD, _SCALES = 1.0, 0.1
-"""Scale of a calibrated sensor, and its standard deviation where flights do not turn: ArduPilot's ratio is off by 20 %
-where nobody learned it, the speed by the root of that."""
+"""Scale of a calibrated sensor, and its standard deviation if the flights have no turns: ArduPilot's uncalibrated ratio
+is off by 20 %, the speed by half of that (its square root)."""
 _LEAST_NOISE = 0.2
-"""Least deviation, m/s, in still air: that of the velocity by GPS and of a pitot tube at 15 m/s."""
+"""Least standard deviation, m/s, in still air: that of a GPS's velocity and of a pitot tube at 15 m/s."""
 _ROUNDS = 10
-"""Gauss-Newton steps; from no wind at all five reach the optimum to rounding."""
+"""Number of Gauss-Newton steps: from no wind at all, five reach the optimum to rounding."""
 _FAULT_RATE = 10.0
-"""m/s per second by which the error may grow: chosen, half the speed in a second."""
+"""Rate at which the error may grow, m/s per second. Chosen: half the speed in a second."""
 _EXCUSED_S = 5.0
-"""How long after its end it explains what surfaces showed: so long their effectiveness is held at most."""
+"""Time after the end of a wrong airspeed during which it explains evidence of surfaces: the longest time for which
+their effectiveness is held."""
 _UNLEARNED_S = 30.0
-"""How long after its end a wrong GPS explains a difference: a velocity that was led away has become wind, which takes
-so long to be unlearned (from 6 s after the end of a spoof by 5 m/s the airspeed was accused for 8 s)."""
+"""Time after the end of a wrong GPS during which it explains a difference: the estimated wind has absorbed the wrong
+velocity and takes this long to recover (from 6 s after the end of a spoof by 5 m/s, the airspeed was held
+responsible for 8 s)."""
 
 
 class AirspeedInputs:
@@ -93,7 +97,7 @@ class AirspeedInputs:
 def fit_airspeed(request: FitRequest, gate: GateRule) -> Fitted | None:
     """Learn on healthy recordings how well airspeed, GPS and wind agree, design the observer, calibrate its alarm.
 
-    None where there is no airspeed sensor or no velocity by GPS.
+    Return None if there is no airspeed sensor or no velocity by GPS.
 
     Raises
     ------
@@ -144,7 +148,7 @@ def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float]:
 
 
 def _scale(flights: Sequence[Array], rate_hz: float) -> tuple[float, float]:
-    """Return the scale by which all flights, each with a wind of its own, agree best, and what is left, m/s."""
+    """Return the scale with which all flights, each with its own wind, agree best, and the remaining deviation, m/s."""
     x = np.zeros(1 + 2 * len(flights))
     x[0], noise = _STANDARD, 1.0
     for _ in range(_ROUNDS):
@@ -161,7 +165,7 @@ def _scale(flights: Sequence[Array], rate_hz: float) -> tuple[float, float]:
             J[:, 0], J[:, wind] = true, np.column_stack([north / s, east / s])
             off = x[0] * true - s
             normal, right, total, rows = normal + J.T @ J, right - J.T @ off, total + float(off @ off), rows + len(s)
-        # a second's samples count as one
+        # the samples of a second count as one
         noise = max(float(np.sqrt(total / rows)), _LEAST_NOISE)
         doubt = noise * noise * rate_hz
         normal[0, 0] += doubt / _SCALES**2

@@ -62,7 +62,7 @@ def identify_surfaces(segments: Sequence[Segment], rate_hz: float, inputs: Seque
 
 _PLANE = EffectKind(
     observer=SurfaceInputs.kind,
-    # Slower than half its usual speed a plane is on the ground or stalls, where deflections act in other ways.
+    # Below half its usual speed a plane is on the ground or stalls, where deflections act differently.
     slowest=0.5,
     speed=lambda signals: signals[:, SurfaceInputs.signals.index("airspeed")],
     full={"aileron": "pressure", "elevator": "pressure", "rudder": "pressure"},
@@ -74,6 +74,6 @@ _PLANE = EffectKind(
 def fit_plane(request: FitRequest) -> tuple[Fitted, GateRule]:
     """Identify a plane's surfaces and throttle on healthy recordings, design the observer, calibrate its alarms.
 
-    Samples are evidence while the plane is armed, and in the air where it says so; a slow one never is.
+    Samples are evidence while the plane is armed, in the air (if its telemetry tells that), and not slow.
     """
     return fit_effects(_PLANE, request, plane_signals(request.surveys), GateRule(settle_s=SETTLE_S))

@@ -15,8 +15,8 @@ from monitor.vehicles.plane.transform import SurfaceInputs
 _AIRSPEED_MESSAGE = "VFR_HUD"
 AIRSPEED = Channel("airspeed", _AIRSPEED_MESSAGE, ("airspeed",))
 
-# Functions and kinds as SRV_Channel.h of ArduPilot and CA_SV_CS*_TYPE of PX4 number them; of two
-# ailerons or motors the left one.
+# Functions and kinds of outputs as SRV_Channel.h of ArduPilot and CA_SV_CS*_TYPE of PX4 number them; of two ailerons or
+# motors the left one.
 _ACTUATORS = (
     Actuator("aileron", 1, (4, 24), (15, 1, 2)),
     Actuator("elevator", 2, (19,), (3,)),
@@ -25,18 +25,19 @@ _ACTUATORS = (
 )
 
 MESSAGES = EFFECT_MESSAGES | {_AIRSPEED_MESSAGE, "SYS_STATUS"}
-"""The last says whether there is an airspeed sensor."""
+"""The last field is whether there is an airspeed sensor."""
 _PRESENT, _SENSOR = "onboard_control_sensors_present", 0x10
-"""Of SYS_STATUS; MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE."""
+"""A bit of SYS_STATUS: MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE."""
 
 
 def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
-    """Choose the channels: the outputs that drive surfaces and throttle, airspeed.
+    """Choose the channels: the outputs that drive surfaces and throttle, and the airspeed.
 
     Raises
     ------
     TelemetryError
-        A message that is needed is missing or comes too seldom, or outputs are none of a plane's; the text says why.
+        A required message is missing or comes too seldom, or the outputs are not those of a plane; the text gives the
+        reason.
     """
     if not all(survey.counts.get(_AIRSPEED_MESSAGE) for survey in surveys):
         raise TelemetryError(f"no airspeed in every log; record {_AIRSPEED_MESSAGE} at 10 Hz or more")
@@ -44,7 +45,7 @@ def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
 
 
 def has_airspeed_sensor(survey: Survey) -> bool:
-    """Return whether the vehicle has an airspeed sensor: else its autopilot sends what GPS and wind let expect."""
+    """Return whether the vehicle has an airspeed sensor; without one, its airspeed is an estimate from GPS and wind."""
     present = survey.examples.get("SYS_STATUS", {}).get(_PRESENT)
     return not isinstance(present, int) or bool(present & _SENSOR)
 

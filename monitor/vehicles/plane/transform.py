@@ -20,12 +20,13 @@ from monitor.core.lagged import cosines, sines
 from monitor.sampling.scaled import Array, Scaled, ScaledInputs
 
 _SMALLEST_SCALE = 0.2
-"""Least s to divide by, where the path's curvature and the drag grow without bound; chosen: no plane flies at a fifth
-of its reference speed, so no evidence is altered."""
+"""Least s to divide by: the path's curvature and the drag grow without bound towards zero. Chosen: no plane flies at a
+fifth of its reference speed, so no evidence is altered."""
 _UNFELT, _WITHIN_S, _DOUBT_S = 0.2, 0.3, 2.0
-"""Change of the airspeed that the accelerometer does not feel, as a share of the reference speed, within how many
-seconds, from which on the airspeed is in doubt, and for how long: until its own observer has compared it with the GPS.
-Chosen: gusts of a storm reach a tenth so soon, a pull-up of 3 g leaves half of that unexplained."""
+"""A jump of the airspeed that the accelerometer does not measure: its least size, as a share of the reference speed,
+the time within which it happens, and the time for which the airspeed is then in doubt, until its own observer has
+compared it with the GPS, seconds. Chosen: gusts of a storm reach a tenth in that time, and a pull-up of 3 g leaves
+half of that unexplained."""
 
 
 class SurfaceInputs(ScaledInputs):
@@ -108,7 +109,7 @@ class SurfaceInputs(ScaledInputs):
         return Scaled(columns, (airspeed >= self.minimum) & ~jumped)
 
     def _jumped(self, airspeed: Array, acceleration: Array) -> NDArray[np.bool_]:
-        """Return where the airspeed changed lately as the acceleration along the body does not."""
+        """Return where the airspeed has lately changed unlike the acceleration along the body."""
         now = np.column_stack([airspeed, acceleration])
         if not self._begun and len(now):
             self._before[:], self._begun = now[0], True
@@ -116,7 +117,7 @@ class SurfaceInputs(ScaledInputs):
         then, lasted = both[: len(now)], len(self._before) / self._signal_rate_hz
         felt = 0.5 * lasted * (now[:, 1] + then[:, 1])
         jumps = np.abs(now[:, 0] - then[:, 0] - felt) > _UNFELT * self.reference
-        jumps &= then[:, 0] >= self.minimum  # what is slower is none anyway
+        jumps &= then[:, 0] >= self.minimum  # slower samples are no evidence anyway
         rows = np.arange(1, len(now) + 1)
         since = rows - np.maximum.accumulate(np.where(jumps, rows, self._doubted))
         self._before = both[len(both) - len(self._before) :]

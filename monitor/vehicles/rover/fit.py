@@ -36,13 +36,14 @@ _MANOEUVRES = {
     "throttle": "accelerate and brake, ten times",
 }
 _CURVED_T = 5.0
-"""How many standard errors the steering's gain has to be from zero before a curve is read from the drives: the ratio of
-two coefficients of which the lower one is uncertain by more than a fifth has no useful value."""
+"""Smallest size of the steering's gain, in standard errors, for which a curve is fitted: the curve is the ratio of two
+coefficients, and with a denominator that is uncertain by more than a fifth the ratio has no useful value."""
 _STEEPEST = 1.0 / 3.0
-"""Largest size of kappa. d/du (u + kappa u^3) = 1 + 3 kappa u^2 stays positive up to full deflection for kappa > -1/3:
-turning rate always grows with steering. The same size bounds it above."""
+"""Largest size of kappa. d/du (u + kappa u^3) = 1 + 3 kappa u^2 is positive up to full deflection if kappa > -1/3: the
+turning rate always grows with steering. The same size is the upper bound."""
 _SMALLEST_SPEED = 0.05
-"""Share of the reference speed below which the curve is not looked at: its effect is divided by the speed squared."""
+"""Share of the reference speed below which samples are not used for the curve: its effect is divided by the speed
+squared."""
 
 
 def identify_drive(segments: Sequence[Segment], rate_hz: float, inputs: Sequence[str]) -> AxesFit:
@@ -75,13 +76,13 @@ def identify_drive(segments: Sequence[Segment], rate_hz: float, inputs: Sequence
 
 
 def _cube(effect: FloatArray, s: FloatArray) -> FloatArray:
-    """Return steering^3 s from steering s, zero where the rover stands."""
+    """Return steering^3 s from steering s; zero if the rover stands."""
     rolls = np.abs(s) > _SMALLEST_SPEED
     return np.where(rolls, effect**3 / np.where(rolls, s, 1.0) ** 2, 0.0)
 
 
 def _curve(axis: AxisFit) -> float:
-    """Return kappa, zero where the drives do not show it."""
+    """Return kappa; zero if the drives do not determine it."""
     kappa = float(axis.effects[0]) / axis.b if axis.b and axis.t_value >= _CURVED_T else 0.0
     return min(max(kappa, -_STEEPEST), _STEEPEST)
 
@@ -95,7 +96,7 @@ def _speed(signals: NDArray[np.float64]) -> NDArray[np.float64]:
 
 _ROVER = EffectKind(
     observer=DriveInputs.kind,
-    # The transform divides by the speed: below a sixth of the usual one a rover turns on the spot, slips or stands.
+    # The transform divides by the speed: below a sixth of its usual speed a rover turns on the spot, slips or stands.
     slowest=1.0 / 6.0,
     speed=_speed,
     full={"steering": "speed"},
@@ -107,7 +108,7 @@ _ROVER = EffectKind(
 def fit_rover(request: FitRequest) -> tuple[Fitted, GateRule]:
     """Identify a rover's steering and throttle on healthy recordings, design the observer, calibrate its alarms.
 
-    Samples are evidence while the rover is armed; where it is slow they never are.
+    Samples are evidence while the rover is armed and not slow.
     """
     gate = GateRule(require_airborne=False, settle_s=SETTLE_S)
     return fit_effects(_ROVER, request, rover_signals(request.surveys), gate)

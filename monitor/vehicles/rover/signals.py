@@ -12,22 +12,23 @@ from monitor.fitting.survey import Survey, in_every
 from monitor.vehicles.base import Preview
 from monitor.vehicles.rover.transform import DriveInputs
 
-# Messages of velocity over ground and the m/s in their units, the preferred one first.
+# Messages of the velocity over ground and the m/s of one of their units, the preferred message first.
 _VELOCITIES = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
 
-# Functions as SRV_Channel.h of ArduPilot and PX4's rovers number them.
+# Functions of outputs as SRV_Channel.h of ArduPilot and PX4's rovers number them.
 _ACTUATORS = (Actuator("steering", 1, (26,), px4=SERVO), Actuator("throttle", 3, (70,), px4=MOTOR))
 
 MESSAGES = EFFECT_MESSAGES | _VELOCITIES.keys()
 
 
 def rover_signals(surveys: Sequence[Survey]) -> EffectSignals:
-    """Choose the channels: the outputs that drive steering and throttle, velocity over ground.
+    """Choose the channels: the outputs that drive steering and throttle, and the velocity over ground.
 
     Raises
     ------
     TelemetryError
-        A message that is needed is missing or comes too seldom, or outputs are none of a rover's; the text says why.
+        A required message is missing or comes too seldom, or the outputs are not those of a rover; the text gives the
+        reason.
     """
     message = in_every(surveys, _VELOCITIES)
     if message is None:

@@ -22,9 +22,9 @@ from monitor.sampling.scaled import Array, Scaled, ScaledInputs
 class DriveInputs(ScaledInputs):
     """Samples of a rover: steering scaled by the speed along its own axis.
 
-    Speed is the horizontal velocity projected on the heading: signed, so reverse driving turns the effect of
-    the steering around, and on the vehicle's clock, which VFR_HUD is not. Beside the parameters of
-    :class:`monitor.sampling.scaled.ScaledInputs` there is ``steering_cubic`` (kappa).
+    The speed is the horizontal velocity projected on the heading: it is signed, so that the effect of steering reverses
+    in reverse driving, and it is on the vehicle's clock, unlike VFR_HUD. Parameters are those of
+    :class:`monitor.sampling.scaled.ScaledInputs` and ``steering_cubic`` (kappa).
     """
 
     kind: ClassVar[str] = "drive"
