@@ -1,1 +1,1 @@
-"""Certified observers: the convex design, its proof without the solver, the file that holds it."""
+"""Certified observers: the convex design, its proof without the solver, and the file of its gains."""

@@ -1,8 +1,8 @@
-"""Banks: one observer for each hypothesis about which faults act, where all together cannot be estimated.
+"""Banks: one observer for each hypothesis about which faults act, if not all can be estimated together.
 
-Under the hypothesis that no fault outside a set acts, the observer of the plant with that set alone estimates it.
-Where the hypothesis is right its residual stays as small as noise and disturbance make it; where another fault
-acts it does not, unless the two are told apart by nothing (structured residuals).
+Under the hypothesis that no fault outside a set acts, the observer of the plant with that set alone estimates it. If
+the hypothesis is right, the residual of that observer stays as small as noise and disturbances make it; if another
+fault acts, it grows, unless no output distinguishes the two (structured residuals).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Hypothesis(NamedTuple):
 
 
 def admissible_hypotheses(plant: Plant) -> tuple[tuple[str, ...], ...]:
-    """Return the sets of faults to make observers for: every single one that can be estimated.
+    """Return the sets of faults that get an observer: each single fault that can be estimated.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def design_bank(
 ) -> tuple[Hypothesis, ...]:
     """Return a certified observer for each of the :func:`admissible_hypotheses`, at a rate or that of a discrete model.
 
-    ``together`` are sets of faults that get an observer, too, where all of one can be estimated.
+    ``together`` are sets of faults that get an observer, too, if all faults of the set can be estimated.
 
     Raises
     ------

@@ -1,9 +1,10 @@
-"""Design a plant that falls apart into blocks block by block, and prove the whole.
+"""Design an observer block by block for a plant of independent blocks, and prove the whole.
 
 Blocks share no state, output, fault, disturbance or noise. The least bound of the whole is that of its worst block, and
-any gains that keep the others below it are optimal: a design of the whole leaves them to chance. Designed one by
-one each block gets its own least bound, in a small part of the time, for the solver's effort grows with the sixth power
-of the size. The gains, and P, of the whole are those of the blocks on its diagonal; it is certified like any design.
+any gains that keep the other blocks below it are optimal: a design of the whole leaves their gains to chance. In a
+design of its own each block gets its own least bound, in a small part of the time, because the solver's effort grows
+with the sixth power of the size. The gains, and P, of the whole are those of the blocks on its diagonal; it is
+certified like any design.
 """
 
 from __future__ import annotations

@@ -7,15 +7,15 @@ For the discrete error system of :mod:`gains.analysis.augment`, a full P and R =
     [ *   *                         mu I - D_x^T D_x  D_f^T  ]
     [ *   *                         *                 I      ]
 
-jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D. A left inverse that is moved
-by Y adds Y times the free rows of :mod:`gains.analysis.augment` to A_a, B and Gs; with Yb = P Y it stays linear, in
-(P, R, L_p, Yb, mu). It is that of the theory with the rows of e that hold no unknown, C_x = W_x [I 0] and D_x, taken
-out by a Schur complement, and with the columns of X = [B; D; D_x] replaced by as many as their rank, for only X X^T
+jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D. Moving the left inverse by Y
+adds Y times the free rows of :mod:`gains.analysis.augment` to A_a, B and Gs; with Yb = P Y the inequality stays linear,
+in (P, R, L_p, Yb, mu). It is that of the theory with the rows of e that hold no unknown, C_x = W_x [I 0] and D_x, taken
+out by a Schur complement, and with the columns of X = [B; D; D_x] replaced by as many as their rank, because only X X^T
 enters.
 
-Multipliers Lambda = diag(lambda) >= 0 put one inequality in place of those of all vertices (S-procedure): the vertex
-is the mean, P B gains the columns P Gs, mu I the diagonal Lambda, and P - C_x^T C_x loses Hs^T Lambda Hs. It implies
-the inequality wherever the slopes are, also when they move; its bound can be a little larger. In the same way, with
+With multipliers Lambda = diag(lambda) >= 0 one inequality replaces those of all vertices (S-procedure): the vertex is
+the mean, P B gains the columns P Gs, mu I the diagonal Lambda, and P - C_x^T C_x loses Hs^T Lambda Hs. It implies the
+inequality for all slopes, also for slopes that move; its bound can be a little larger. In the same way, with
 multipliers of their own, [P, P A; *, r^2 P] >= 0 keeps the poles within r.
 
 P bounds the observability Gramian of the error too, so that W >= (P B - R D)^T P^-1 (P B - R D) + D_f^T D_f makes
@@ -27,9 +27,8 @@ In continuous time (x' for x+) a full P > 0 and the same R make it
     [ *                     D_x^T D_x - mu I        D_f^T ]  <= 0,     T = P (A_a + vertex) - R Ca
     [ *                     *                       -I    ]
 
-P > 0 has to be asked for: without it the inequality is that of another problem, of an error system that need not be
-stable. A range of decay rates [low, high] is asked for with the same P: T + T^T + 2 low P <= 0 and T + T^T + 2 high P
->= 0.
+P > 0 has to be a constraint of its own: the inequality alone also holds for error systems that are not stable. A range
+of decay rates [low, high] is a constraint with the same P: T + T^T + 2 low P <= 0 and T + T^T + 2 high P >= 0.
 """
 
 from __future__ import annotations
@@ -47,46 +46,46 @@ from gains.synthesis.design import ObserverMatrices, observer_matrices
 from gains.synthesis.solver import DEFAULT, ROBUST, bordered, gain_energy, solve_program
 
 _LEAST_MU_WEIGHT = 1e-4
-"""Keeps mu bounded where h2 = 1 asks for the other norm alone. Smaller, it leaves mu loose (measured on the arm,
-sqrt(mu) 1.07 in place of .37 at 1e-6); larger, it takes part in the choice.
-"""
+"""Least weight of mu in the objective; it keeps mu bounded if h2 = 1 minimises the H2 norm alone. A smaller one leaves
+mu loose (measured on the arm, sqrt(mu) 1.07 instead of .37 at 1e-6); a larger one influences the choice."""
 _NO_ROW = 1e-9
-"""Of the largest free row, in units of the errors: above what rounding leaves of none, below every one that counts."""
+"""Share of the largest free row, in units of the errors, below which a row is zero: above rounding, below every row
+that counts."""
 _AT_ONCE = 10.0
-"""Price in continuous time of what an output puts into the error at once, through the left inverse, against what a gain
-puts there in a time constant. Measured on the disturbed arm: at 1, 10, 100 sqrt(mu) is .14514, .14517, .14525 with the
-fastest pole at -6300, -650, -220 rad/s. In discrete time a sample is the unit of both.
-"""
+"""Price in continuous time of the error that an output causes at once, through the left inverse, relative to that which
+it causes through a gain in a time constant. Measured on the disturbed arm: at 1, 10, 100 sqrt(mu) is .14514, .14517,
+.14525 with the fastest pole at -6300, -650, -220 rad/s. In discrete time a sample is the unit of both."""
 _INSIDE = 1e-6
-"""Share by which gains stay within their bound: ten times what the solver leaves of a constraint."""
+"""Share by which gains stay within their bound: ten times the solver's tolerance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demands:
-    """What is asked of a design, as for :func:`gains.synthesis.convex.design_convex`."""
+    """The requirements of a design, as for :func:`gains.synthesis.convex.design_convex`."""
 
     gain_weight: float
     pole_radius: float = 1.0
     h2: float = 0.0
-    P: FloatArray | None = None  # the Lyapunov matrix where it is given, in the user's units
-    gain_bound: float = np.inf  # of the entries of the gains, in the user's units
-    looseness: float = 1.0  # by how much [Kb; L_i] may exceed it
+    P: FloatArray | None = None  # the Lyapunov matrix if it is given, in the user's units
+    gain_bound: float = np.inf  # bound of the entries of the gains, in the user's units
+    looseness: float = 1.0  # bound of [Kb; L_i] relative to that bound
     free: bool = True  # whether the left inverse is found with the gains
-    multipliers: bool = False  # whether one inequality stands for all vertices
+    multipliers: bool = False  # whether one inequality replaces those of all vertices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inequality:
-    """The error system in the coordinates of the solver, and what is asked of it."""
+    """The error system in the coordinates of the solver, and the requirements of its design."""
 
     name: str  # the plant's name, for errors
     a1: int  # number of actuator faults
     asked: Demands
-    coordinates: Coordinates  # those of the solver
+    coordinates: Coordinates  # the coordinates of the solver
     direct: FloatArray  # size of L_p in the user's units, for outputs in the solver's (a1,)
     into: FloatArray  # [L1; L_q] E_f of the pseudo-inverse (na, a1), in the user's units
-    free: FreeRows  # what Yb multiplies, its rows of size one; none where the left inverse stays the pseudo-inverse
-    basis: FloatArray  # those rows by the model's (k, rows)
+    # the free rows that Yb multiplies, of size one; no rows if the left inverse stays the pseudo-inverse
+    free: FreeRows
+    basis: FloatArray  # those rows as combinations of the model's (k, rows)
     # A_a at every vertex, or with multipliers at the mean alone (vertices, na, na); the reduced B and D
     A: FloatArray
     B: FloatArray
@@ -95,11 +94,11 @@ class Inequality:
     # the rows of W S / sqrt(mu of the coordinates) for zeta~ and for z
     C_x: FloatArray
     C_f0: FloatArray
-    D_x: FloatArray  # what the reduced columns make of these errors zeta~ at once; zero but where noise counts once
-    # the slopes' Gs (na, k) and Hs (k, na), each column and its row of one length; k = 0 without multipliers
+    D_x: FloatArray  # direct path from the reduced columns to the errors zeta~; zero unless noise counts once
+    # the slopes' Gs (na, k) and Hs (k, na), each column as long as its row; k = 0 without multipliers
     G: FloatArray
     H: FloatArray
-    balance: FloatArray  # what brought them there: lambda of these is ``balance`` times that of the model's (k,)
+    balance: FloatArray  # scale of the slopes: lambda here is ``balance`` times that of the model (k,)
     omega: float  # unit of the rates of a continuous error system, 1/s; one in discrete time
 
 
@@ -119,7 +118,8 @@ class Solution:
 def inequality(model: ErrorModel, coordinates: Coordinates, asked: Demands, omega: float | None = None) -> Inequality:
     """Return the model in the solver's coordinates, with as few columns as matter; discrete, with the floor of noise.
 
-    The model is one at every vertex unless there are multipliers, and one in continuous time where there is ``omega``.
+    The model is evaluated at every vertex unless there are multipliers, and is in continuous time if ``omega`` is
+    given.
     """
     S, Y = coordinates.S, coordinates.Y
     nz = len(model.weights) - model.a1
@@ -173,10 +173,10 @@ def inequality(model: ErrorModel, coordinates: Coordinates, asked: Demands, omeg
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Unknowns:
-    """Unknowns of the inequality, and products with them that several of its blocks hold.
+    """Unknowns of the inequality, and products with them that several of its blocks contain.
 
-    ``P`` is a constant where it is given; ``L_p``, ``C_f`` and ``D_f`` are None without actuator faults, the
-    multipliers ``bound`` and ``decay`` without slopes that need them.
+    ``P`` is a constant if it is given; ``L_p``, ``C_f`` and ``D_f`` are None without actuator faults, the multipliers
+    ``bound`` and ``decay`` without slopes that need them.
     """
 
     P: Any
@@ -196,8 +196,8 @@ def solve_bounded_real(problem: Inequality, fixed: tuple[float, float] | None = 
     """Minimise mu (and the gains), or at fixed mu and trace(W) find the point farthest inside the inequality.
 
     Use the first form for the least bound. Its optimum lies on the boundary of the inequality, where rounding decides:
-    where that fails the certificate, use the second with a slightly larger mu. Returns None where the solver failed,
-    and its time in seconds.
+    if it fails the certificate, use the second with a slightly larger mu. Returns None if the solver failed, and its
+    time in seconds.
 
     Raises
     ------
@@ -241,7 +241,8 @@ def solve_bounded_real(problem: Inequality, fixed: tuple[float, float] | None = 
 def solve_continuous(problem: Inequality, low: float, high: float) -> tuple[Solution | None, float]:
     """Minimise mu and the gains of a continuous error system whose decay rates, rad/s, lie within a range.
 
-    Returns as :func:`solve_bounded_real`; P lies on the boundary of the inequality and proves nothing beyond rounding.
+    Returns as :func:`solve_bounded_real`; P lies on the boundary of the inequality, so that rounding decides whether it
+    proves anything.
 
     Raises
     ------
@@ -252,7 +253,8 @@ def solve_continuous(problem: Inequality, low: float, high: float) -> tuple[Solu
 
     x = _unknowns(problem)
     gain_energy, holds = _gain_energy(problem, x)
-    # ahead of the others it lets the solver prove that rates are out of reach; behind them the solver stops short
+    # placed before the others this constraint lets the solver prove that rates are infeasible; after them the solver
+    # stops short
     constraints = [holds]
     for vertex in range(len(problem.A)):
         PA = _moved(problem, x, vertex)
@@ -273,7 +275,7 @@ def solve_continuous(problem: Inequality, low: float, high: float) -> tuple[Solu
 
 
 def _unknowns(problem: Inequality) -> _Unknowns:
-    """Return the unknowns, P as a constant in the solver's coordinates where it is given."""
+    """Return the unknowns, P as a constant in the solver's coordinates if it is given."""
     import cvxpy as cp
 
     (na, _), p, a1, k, free = problem.B.shape, len(problem.C), problem.a1, len(problem.H), len(problem.basis)
@@ -298,7 +300,7 @@ def _unknowns(problem: Inequality) -> _Unknowns:
 
 
 def _with_free(product: Any, Yb: Any, rows: FloatArray) -> Any:
-    """Return P X with what the left inverse adds to it."""
+    """Return P X with the term that the moved left inverse adds."""
     return product if Yb is None else product + Yb @ rows
 
 
@@ -315,7 +317,7 @@ def _bounded_real(problem: Inequality, x: _Unknowns, PA: Any, slack: Any) -> Any
         [PA.T, x.P - problem.C_x.T @ problem.C_x, -problem.C_x.T @ problem.D_x],
         [x.PB.T, -problem.D_x.T @ problem.C_x, _bound(problem, x)],
     ]
-    # The rows of e that hold an unknown: no Schur complement takes them out.
+    # The rows of e that hold an unknown: a Schur complement cannot eliminate them.
     border = [] if x.L_p is None else [np.zeros((a1, na)), x.C_f, x.D_f, *([np.zeros((a1, k))] if k else [])]
     return bordered(_sloped(rows, x.PG, problem.H, x.bound), border) >> slack * np.eye(2 * na + nw + k + a1)
 
@@ -344,9 +346,10 @@ def _noise_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
 
 
 def _gain_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
-    """Return trace(Z) and the constraint Z >= R^T P^-1 R + L_p^T L_p: what an innovation puts into the error.
+    """Return trace(Z) and the constraint Z >= R^T P^-1 R + L_p^T L_p: the innovations' energy in the error.
 
-    What an output puts there through what moves the left inverse is priced alike: a move that gains nothing stays out.
+    The energy that an output puts there through the move of the left inverse has a price, too, so that the left inverse
+    is not moved without a benefit.
     """
     import cvxpy as cp
 
@@ -360,7 +363,7 @@ def _gain_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
 
 
 def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
-    """Return the values of the unknowns, None where the solver left none with P > 0."""
+    """Return the values of the unknowns, or None if the solver found none with P > 0."""
     values = [y.value for y in (x.P, x.R, x.Yb, x.L_p, x.mu) if y is not None]
     if not all(value is not None and np.all(np.isfinite(value)) for value in values):
         return None
@@ -399,11 +402,11 @@ def user_design(problem: Inequality, solution: Solution, augmentation: Augmentat
 
 
 def _bounded(problem: Inequality, P: Any, R: Any, L_p: Any) -> list[Any]:
-    """Return constraints that bound the gains: of every entry for a given P, else of Kb, L_i and L_p by size.
+    """Return constraints that bound the gains: every entry for a given P, otherwise the sizes of Kb, L_i and L_p.
 
-    With P >= kappa I and V >= [Kb; L_i]^T P [Kb; L_i] in the user's units, V_jj <= X^2 kappa bounds the columns of
-    [Kb; L_i] by X: sufficient (K has L1 E_f L_p less) and linear in P, R, V and kappa. It asks for more than the
-    entries need, so that a looser bound of [Kb; L_i] can still keep them within theirs.
+    With P >= kappa I and V >= [Kb; L_i]^T P [Kb; L_i] in the user's units, V_jj <= X^2 kappa bounds the columns of [Kb;
+    L_i] by X: sufficient (K has L1 E_f L_p less) and linear in P, R, V and kappa. It is stricter than the bound of the
+    entries, so that a looser bound of [Kb; L_i] can still keep the entries within theirs.
     """
     import cvxpy as cp
 
@@ -437,7 +440,7 @@ def _reason(problem: Inequality, asked: str = "") -> str:
 
 
 def _sloped(rows: list[list[Any]], PG: Any, H: FloatArray, multipliers: Any) -> list[list[Any]]:
-    """Return block rows with the S-procedure: H^T Lambda H taken off the second block, [PG; 0; Lambda] added."""
+    """Return block rows with the S-procedure: H^T Lambda H subtracted from the second block, [PG; 0; Lambda] added."""
     import cvxpy as cp
 
     if multipliers is None:

@@ -9,8 +9,8 @@ the bounded-real inequality of the theory
     [ *   *       *       I     ]
 
 implies sum |e|^2 <= mu sum |[w; w+; df_a]|^2 (+ x~' P x~ at the start) for every g within its slopes, or of [w; df_a]
-where noise counts once. So does, without any vertex, the one inequality with the multipliers Lambda = diag(lambda) of
-a design
+if noise counts once. Without any vertex the same follows from one inequality with the multipliers Lambda = diag(lambda)
+of a design
 
     [ P   P A_e             P B_e   P Gs     0     ]
     [ *   P - Hs^T Lambda Hs  0       0        C_e^T ]
@@ -18,8 +18,8 @@ a design
     [ *   *                 *       Lambda   0     ]
     [ *   *                 *       *        I     ]
 
-for w = delta Hs x~, |delta_i| <= 1, adds sum lambda_i ((Hs x~)_i^2 - w_i^2) >= 0: the slopes may even move. Its first
-two rows and the fourth, with r^2 P for P, bound the poles by r in the same way.
+because w = delta Hs x~, |delta_i| <= 1, adds sum lambda_i ((Hs x~)_i^2 - w_i^2) >= 0: the slopes may even move. Its
+first two rows and the fourth, with r^2 P for P, bound the poles by r in the same way.
 
 In continuous time P > 0 and, at every slope vertex,
 
@@ -27,7 +27,7 @@ In continuous time P > 0 and, at every slope vertex,
     [ *                 -mu I    D_e^T ]  <= 0
     [ *                 *        -I    ]
 
-say the same of the integrals, with w' and f_a' for w+ and df_a. Without P > 0 the inequality says nothing about
+imply the same for the integrals, with w' and f_a' for w+ and df_a. Without P > 0 the inequality implies nothing about
 stability.
 """
 
@@ -47,35 +47,35 @@ from gains.synthesis.design import Design, FaultState, ObserverMatrices, design_
 from gains.synthesis.peak import peak_bounds
 
 CONSISTENCY = 1e-9
-"""Relative. The norm is enclosed to 2e-9, and N and J follow from K to rounding."""
+"""Relative tolerance: the norm is enclosed to 2e-9, and N and J follow from K within rounding."""
 _UNIT_ROUNDOFF = np.finfo(np.float64).eps / 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """What could be verified about a design."""
+    """The result of verifying a design."""
 
     # the inequality holds with a margin, the error system is stable, its norm is within the bound, and poles and gains
     # are within theirs
     holds: bool
-    # whether the inequality was looked at for every slope vertex, or that with multipliers for all slopes at once
+    # whether the inequality was verified at every slope vertex, or that with multipliers for all slopes at once
     proof: Literal["vertices", "multipliers"]
-    # at how many combinations of slopes the norm and the poles were computed: every vertex, or with multipliers the
-    # mean and at most ``SAMPLE_COUNT`` vertices
+    # number of combinations of slopes at which the norm and the poles were computed: every vertex, or with multipliers
+    # the mean and at most ``SAMPLE_COUNT`` vertices
     slopes: int
     # smallest eigenvalue, over the vertices, of the inequality (and of P in continuous time) scaled to unit diagonal,
     # less a bound on the rounding errors of forming and decomposing it
     margin: float
-    # H-infinity norm of the scaled error system, worst of those slopes: a gain that it has, exact to nine digits;
-    # infinite where it is unstable
+    # H-infinity norm of the scaled error system, at the worst of those slopes: a gain of that system, exact to nine
+    # digits; infinite if it is unstable
     norm: float
-    norm_hz: float  # frequency of that peak; infinite where the direct path of a continuous design has it
+    norm_hz: float  # frequency of that peak; infinite if the direct path of a continuous design has the peak
     # largest and smallest pole of the error system over those slopes: by size, or in continuous time by its real part,
     # rad/s
     poles_max: float
     poles_min: float
     # bound of the H2 norm of the scaled discrete error system at all slopes, sqrt(trace(B_e^T P B_e + D_e^T D_e)); it
-    # is proven where the certificate holds, because P - A_e^T P A_e - C_e^T C_e >= 0 then
+    # is proven if the certificate holds, because P - A_e^T P A_e - C_e^T C_e >= 0 then
     h2: float | None = None
 
 
@@ -131,7 +131,7 @@ def certify(plant: Plant, design: Design) -> Certificate:
 def closed_error_system(
     model: ErrorModel, gains: ObserverMatrices, fault_state: FaultState = "integral", *, with_mean: bool = False
 ) -> ClosedErrorSystem:
-    """Close the error system of a plant: at its vertices, or at the mean slopes and then at those.
+    """Close the error system of a plant at its vertices, or at the mean slopes and after them the vertices.
 
     With Kb = K + L1 E_f L_p the state [zeta~; z] ("integral") obeys
 
@@ -142,8 +142,8 @@ def closed_error_system(
 
         fa~' = f_a' - L_i (Cb zeta~ + D w) - L_p (Cb zeta~' + D w')
 
-    They are one system for signals whose derivative is w'. A norm takes w and w' as independent, so there each has
-    its own.
+    Both describe the same system for signals whose derivative is w'. A norm takes w and w' as independent, so that the
+    two have different norms.
     """
     vertices = np.concatenate([model.mean[None], model.A]) if with_mean else model.A
     if fault_state == "integral":
@@ -165,9 +165,9 @@ def closed_error_system(
 def design_report(
     plant: Plant, design: Design, certificate: Certificate, rate_hz: float | None = None
 ) -> dict[str, Any]:
-    """Return what a design is worth as the JSON object of the command line and the gains file.
+    """Return the figures of a design as the JSON object of the command line and the gains file.
 
-    ``rate_hz`` is what a continuous design is compiled for, if it is.
+    ``rate_hz`` is the rate for which a continuous design is compiled, if any.
     """
     figures: dict[str, Any] = {"holds": certificate.holds, "margin": certificate.margin}
     if design.domain == "discrete":
@@ -226,7 +226,7 @@ def _discrete_margin(model: ErrorModel, design: Design) -> float:
 def _inequality_margin(
     model: ErrorModel, A: FloatArray, design: Design, multipliers: FloatArray, *, decaying: bool = False
 ) -> float:
-    """Return the margin of one inequality: without multipliers that of one vertex; ``decaying``: that of the poles."""
+    """Return the margin of one inequality: without multipliers at one vertex; ``decaying``: of the poles."""
     gains = design.gains
     injection = model.injection(gains.K, gains.L_i, gains.L_p)
     used = slice(0) if decaying else slice(None)
@@ -256,7 +256,7 @@ def _inequality_margin(
 def _layout(
     P: FloatArray, remainder: FloatArray, PA: FloatArray, PB: FloatArray, C_e: FloatArray, D_e: FloatArray
 ) -> FloatArray:
-    """Return the blocks of the inequality but for mu I, Lambda and I on its diagonal."""
+    """Return the blocks of the inequality except mu I, Lambda and I on its diagonal."""
     (na, nw), ne = PB.shape, len(C_e)
     zero = np.zeros
     return np.block(
@@ -290,9 +290,9 @@ def _continuous_margin(system: ClosedErrorSystem, P: FloatArray, mu: float) -> f
 
 
 def _scaled_margin(matrix: FloatArray, rounding: FloatArray, operations: int) -> float:
-    """Return the smallest eigenvalue of a matrix scaled to unit diagonal, less what rounding can hide.
+    """Return the smallest eigenvalue of a matrix scaled to unit diagonal, minus a bound on rounding errors.
 
-    ``rounding`` is the sum of the sizes that each entry was formed of, in at most so many operations.
+    ``rounding`` is, for each entry, the sum of the sizes of its terms; each was formed in at most that many operations.
     """
     diagonal = np.diag(matrix)
     if not (np.all(np.isfinite(matrix)) and np.all(diagonal > 0.0)):
@@ -305,7 +305,7 @@ def _scaled_margin(matrix: FloatArray, rounding: FloatArray, operations: int) ->
 
 
 def _consistent(plant: Plant, gains: ObserverMatrices, expected: ObserverMatrices) -> bool:
-    """Return whether N and J, which run, belong to K, which is certified, and [L1 F; L_q F_q] inverts [T; Cb]."""
+    """Return whether the N and J that run belong to the certified K, and [L1 F; L_q F_q] inverts [T; Cb]."""
     pairs = ((getattr(gains, name), getattr(expected, name)) for name in ("N", "J"))
     return inverse_error(plant, gains) <= CONSISTENCY and all(
         bool(np.max(np.abs(a - b), initial=0.0) <= CONSISTENCY * max(1.0, np.max(np.abs(b), initial=0.0)))
@@ -314,7 +314,7 @@ def _consistent(plant: Plant, gains: ObserverMatrices, expected: ObserverMatrice
 
 
 def inverse_error(plant: Plant, gains: ObserverMatrices) -> float:
-    """Return by how much [L1 F; L_q F_q] [T; Cb] is off [I; 0], in units of the errors that matter and of its sizes."""
+    """Return by how much [L1 F; L_q F_q] [T; Cb] is off [I; 0], in units of the errors and of its sizes."""
     n, nz = len(plant.states), len(gains.L1)
     C_b, T, unit = np.hstack([plant.C, plant.D_f]), np.eye(n, nz), plant.errors
     L, F, rows = gains.L1, gains.F, unit[:nz]

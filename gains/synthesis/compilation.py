@@ -7,7 +7,7 @@ reads
     eta+  = N eta + J y + L1 (B vb + c + G g + E_f fa^)                               q^  = q + F_q y
     q+    = q^ + L_q (A x^ + B vb + c + G g + E_f fa^) + L_i yt                       nu  = H x^ + H_v vb + h + H_f q^
 
-and every line is linear in z = [s; v; y; 1; g]: each is written as a product with rows that select parts of z.
+and every line is linear in z = [s; v; y; 1; g] and is computed as a product with rows that select parts of z.
 Integrators of order 2 have q = [q1; q2], fa^ = q1^ + L_p yt and q1+ = q1^ + T q2^ + ...
 """
 
@@ -32,12 +32,12 @@ from gains.synthesis.gains_file import Gains, ScalarNonlinearity
 
 
 def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gains:
-    """Return the compiled gains of a certified design; what was verified goes into their report.
+    """Return the compiled gains of a certified design; their report contains what was verified.
 
     Raises
     ------
     InaccurateError
-        The certificate does not hold: such gains are not for use.
+        The certificate does not hold: such gains must not be used.
     """
     if not certificate.holds:
         raise InaccurateError(f"{plant.name}: the gains' certificate does not hold; they must not be used")
@@ -58,7 +58,7 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
         + inverse.L_q @ (inverse.A_z @ zeta + driven)
         + observer.L_i @ yt,
     ]
-    # a restart takes x = C^+ y without faults, hence eta = L1 x (zeta~ = L1 x - eta = 0) and q = L_q x
+    # a restart assumes x = C^+ y without faults, hence eta = L1 x (zeta~ = L1 x - eta = 0) and q = L_q x
     start = np.zeros((len(z.own), len(plant.outputs)))
     start[:] = np.vstack([inverse.L1, inverse.L_q]) @ np.linalg.pinv(discrete.C)
     return Gains(
@@ -82,7 +82,7 @@ class Selection(NamedTuple):
     g: FloatArray
 
     def drive(self, plant: Plant) -> FloatArray:
-        """Return B vb + c + G g: what drives the states of a discrete plant."""
+        """Return B vb + c + G g: the known inputs of the states of a discrete plant."""
         return np.asarray(plant.B @ self.effect(plant) + plant.c[:, None] * self.one + plant.G @ self.g)
 
     def effect(self, plant: Plant) -> FloatArray:
@@ -92,7 +92,7 @@ class Selection(NamedTuple):
 
 
 def selection(plant: Plant, own: int) -> Selection:
-    """Return the rows for an observer of a discrete plant with so many states of its own."""
+    """Return the rows for an observer of a discrete plant with this number of states of its own."""
     s = len(plant.inputs)
     sizes = [own, s * (len(plant.taps) - 1), s, len(plant.outputs), 1, len(plant.nonlinearities)]
     return Selection(*np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1]))
@@ -103,8 +103,9 @@ def recursion(
 ) -> dict[str, Any]:
     """Return the compiled matrices of a discrete plant's observer.
 
-    ``moved`` and ``outputs`` give, by z, its own states one sample later and [x^; f_s^; fa^; yt]; ``start`` (own, p)
-    its own states at a restart, from y; ``q`` the actuator faults that the nonlinearities see.
+    ``moved`` and ``outputs`` multiply z and give the observer's own states one sample later and [x^; f_s^; fa^; yt];
+    ``start`` (own, p) its own states at a restart, from y; ``q`` the actuator faults in the arguments of the
+    nonlinearities.
     """
     s, delays = len(z.v), len(plant.taps) - 1
     initial = np.zeros((len(z.own) + len(z.past), s + start.shape[1] + 1))
@@ -114,16 +115,16 @@ def recursion(
     nu = plant.H @ x + plant.H_known @ np.vstack([z.effect(plant), z.one]) + plant.H_f @ q
     return {
         "step_matrix": np.vstack([moved, np.vstack([z.v, z.past])[: len(z.past)], outputs]),
-        # they know all of z but g itself
+        # the arguments depend on all of z except g itself
         "argument_matrix": nu[:, : z.g.shape[1] - len(z.g)],
         "initial_matrix": initial,
     }
 
 
 def common_fields(plant: Plant, matrices: ObserverMatrices | None) -> dict[str, Any]:
-    """Return what compiled gains say about their plant, whatever the synthesis; faults of actuators come first.
+    """Return the entries of compiled gains that describe their plant, for every synthesis; actuator faults come first.
 
-    ``matrices`` are those for people, None where the observer has another structure.
+    ``matrices`` are those for people, None if the observer has another structure.
     """
     faults = (*plant.actuator_faults, *plant.sensor_faults)
     nothing = np.zeros((0, 0))
@@ -149,12 +150,12 @@ def common_matrix(
 ) -> tuple[FloatArray, ObserverMatrices]:
     """Return the Lyapunov matrix of an earlier design, and its observer, for another one that may be exchanged with it.
 
-    ``source`` says where the earlier gains come from, for errors.
+    ``source`` names the origin of the earlier gains in error messages.
 
     Raises
     ------
     ModelError
-        The gains keep no such matrix, or their errors are not those of this model at this rate.
+        The gains contain no such matrix, or their error system is not that of this model at this rate.
     """
     rate_hz = plant.rate_hz if rate_hz is None else rate_hz
     for what, here, there in (
@@ -181,8 +182,8 @@ def common_matrix(
 def provable(summary: dict[str, Any], plant: Plant, design: Design) -> dict[str, Any]:
     """Return the report of a design with all that its proof needs (:mod:`gains.synthesis.verification`).
 
-    That are the plant as it was designed for, P, mu and, where it has them, the multipliers of the slopes; beside them
-    stands what no observer of the plant can beat.
+    These are the plant of the design, P, mu, the multipliers of the slopes if any, and the bound that no observer of
+    the plant can beat.
     """
     floor = floor_sqrt_mu(plant, integrator_order=design.integrator_order, noise_once=design.noise_once).value
     proof = {

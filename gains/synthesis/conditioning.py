@@ -1,9 +1,9 @@
-"""Coordinates in which the synthesis is well scaled: those of a Kalman filter's own errors.
+"""Coordinates in which the synthesis is well scaled: the errors of a Kalman filter have size one.
 
-For the error system of :mod:`gains.analysis.augment` at its mean slopes, driven by white noise of the
-size of its weights, the stationary covariance of the one-step errors is S S', that of the innovations Y Y'.
-In the coordinates S^-1 [zeta~; z] and Y^-1 yt every error and every innovation is of size one, whatever the
-units. The norm of that filter says how large mu is going to be.
+For the error system of :mod:`gains.analysis.augment` at its mean slopes, driven by white noise of the size of its
+weights, the stationary covariance of the one-step errors is S S', that of the innovations Y Y'. In the coordinates S^-1
+[zeta~; z] and Y^-1 yt every error and every innovation is of size one, whatever the units. The norm of that filter
+predicts the size of mu.
 """
 
 from __future__ import annotations
@@ -18,29 +18,25 @@ from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray
 
 FLOOR = 1e-2
-"""Share of fictitious noise. Measured on the arm: below 1e-3 the gains of the case without noise grow a hundredfold
-(3e4 at 1e-4), at 3e-2 the bounds are .6 % looser and at 1e-1 up to six times; from 1e-3 to 1e-2 they are the same
-within .1 %.
-"""
+"""Share of fictitious noise in an error or innovation. Measured on the arm: below 1e-3 the gains of the case without
+noise grow a hundredfold (3e4 at 1e-4), at 3e-2 the bounds are .6 % looser and at 1e-1 up to six times; from 1e-3 to
+1e-2 they are the same within .1 %."""
 _SMALLEST_SHARE = 1e-6
-"""Of the errors that matter: a state smaller than that has no scale of its own. Measured on the arm: from 1e-9 to
-1e-3 the same bounds.
-"""
+"""Smallest scale of a state, as a share of the error that matters. Measured on the arm: from 1e-9 to 1e-3 the same
+bounds."""
 _FLOOR_SWEEPS = 6
-"""The floor depends on the error that it helps to set. Measured: one sweep fails on the arm, two give the result of
-twelve.
-"""
+"""Number of iterations for the floor of noise, which depends on the error that it influences. Measured: one fails on
+the arm, two give the result of twelve."""
 _DOUBLINGS = 60
-"""Convergence is quadratic; measured, six to ten suffice. Sixty reach a filter that forgets only within 2 ^ 60
-samples.
-"""
+"""Largest number of doublings. Convergence is quadratic; measured, six to ten suffice. Sixty reach a filter that needs
+2 ^ 60 samples to forget."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coordinates:
     """Triangular S (na, na) and Y (p, p), and the filter they come from: its squared norm and its gains.
 
-    ``gain`` (na, p) is that of the next error, ``direct`` (na, p) that of this one; in continuous time neither is kept.
+    ``gain`` (na, p) acts on the next error, ``direct`` (na, p) on this one; in continuous time both are empty.
     """
 
     S: FloatArray
@@ -53,11 +49,11 @@ class Coordinates:
 def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: float = 0.0) -> Coordinates:
     """Return the coordinates of a model.
 
-    With a pole radius below one they are those of the filter whose poles lie within it: the Kalman filter of the
-    model with A divided by the radius (prescribed degree of stability).
+    With a pole radius below one they are the coordinates of the filter whose poles lie within it: the Kalman filter of
+    the model with A divided by the radius (prescribed degree of stability).
 
-    With caution the filter has smaller gains, for it takes the outputs to have as much more noise: in units of what
-    the errors that matter make of them.
+    With caution the filter has smaller gains, because it assumes that much more noise in the outputs, in units of the
+    outputs that the errors that matter cause.
 
     States and outputs get a floor of fictitious noise, ``FLOOR`` of their own stationary error, because a
     direction without any noise would be known exactly and have no scale.
@@ -81,7 +77,7 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: flo
             previous, variance = variance, np.maximum(np.diag(Sigma), smallest)
             if np.allclose(variance, previous, rtol=0.2, atol=0.0):
                 break
-        # Kalman's gain (A Sigma C' + S) (C Sigma C' + R)^-1 for the next error, Sigma C' (...)^-1 for this one's L_p
+        # Kalman's gain (A Sigma C' + S) (C Sigma C' + R)^-1 for the next error, Sigma C' (...)^-1 for L_p of this one
         innovation = C @ Sigma @ C.T + R + np.diag(floor)
         gain = np.linalg.solve(innovation, (A @ Sigma @ C.T + S).T).T
         direct = np.asarray(np.linalg.solve(innovation, C @ Sigma).T, dtype=np.float64)
@@ -117,7 +113,7 @@ def with_floor(model: ErrorModel, S: FloatArray, Y: FloatArray) -> ErrorModel:
 def doubled(X: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray:
     """Return the limit of H in the structured doubling algorithm: a Riccati equation's stabilising solution.
 
-    SciPy's solvers order a generalised Schur form, and give up on the continuous arm without noise.
+    SciPy's solvers order a generalised Schur form, which fails on the continuous arm without noise.
     """
     riccati = bool(G.any())  # without G it is Lyapunov's equation
     for _ in range(_DOUBLINGS):

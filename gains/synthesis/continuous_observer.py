@@ -3,7 +3,7 @@
     s' = A s + B_y y + M (B v + G g(H x^) + c)
     [x^; f_s^; fa^; yt] = C s + D_y y
 
-Every continuous design is brought to this form: the paper's structure by :func:`fauio_observer`, any other directly.
+Every continuous design is written in this form: the paper's structure by :func:`fauio_observer`, any other directly.
 
 Compilation (docs/theory.md, "One recursion for every design") is exact for signals that are straight lines between
 samples (first-order hold). Over a period h the solution of the linear part is
@@ -16,9 +16,9 @@ sample later, so it carries
 
     st = s - X1 r,        st(k+1) = Phi (st(k) + X1 r(k)) + X0 r(k) + c
 
-and adds X1 r(k) when the sample arrives. Only the arguments of g at that moment need g itself; they are predicted
-with the last value, s = st + X1 [y; v; g(k-1)], and g(k-1) is one more entry of the state. A restart starts it at zero,
-an error of X1 g that decays like every other.
+and adds X1 r(k) when the sample arrives. Only the arguments of g at that moment need g itself; they are predicted with
+the last value, s = st + X1 [y; v; g(k-1)], and g(k-1) is one more entry of the state. A restart sets that entry to
+zero, an error of X1 g that decays like every other.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ from gains.synthesis.gains_file import Gains
 class ContinuousObserver:
     """A linear observer with scalar nonlinearities in continuous time."""
 
-    plant: Plant  # the continuous plant it estimates; v is its input effect, g its nonlinearities
-    method: str  # the synthesis
+    plant: Plant  # the continuous plant that it observes; v is its input effect, g its nonlinearities
+    method: str  # name of the synthesis
     step: FloatArray  # [A, B_y] (ns, ns + p)
     output: FloatArray  # [C, D_y] (nz + a1 + p, ns + p): [x^; f_s^; fa^; yt]
-    into: FloatArray  # M (ns, n): how s moves with what drives the plant's states
+    into: FloatArray  # M (ns, n): how the inputs of the plant's states drive s
     start: FloatArray  # s at a restart from y (ns, p)
-    sqrt_mu: float | None = None  # the bound its synthesis reports, None where it reports none
-    matrices: ObserverMatrices | None = None  # the matrices of the paper's structure where the observer has it
+    sqrt_mu: float | None = None  # the bound that its synthesis reports, None if it reports none
+    matrices: ObserverMatrices | None = None  # the matrices of the paper's structure, if the observer has it
     solve_s: float = 0.0  # time in the solver, seconds
-    notes: tuple[str, ...] = ()  # what a person should know about this observer
+    notes: tuple[str, ...] = ()  # remarks about this observer for people
 
     @property
     def A(self) -> FloatArray:
-        """How s moves by itself (ns, ns)."""
+        """Dynamics of s without inputs (ns, ns)."""
         return self.step[:, : len(self.step)]
 
     @property
     def B_y(self) -> FloatArray:
-        """How the outputs move s (ns, p)."""
+        """Effect of the outputs on s (ns, p)."""
         return self.step[:, len(self.step) :]
 
 
@@ -74,8 +74,9 @@ def fauio_observer(
     """Return the observer of the paper's structure for given gains, as yet without a bound.
 
     eta' = N eta + J y + L1 (B v + c + G g(x^) + E_f fa^),  zeta^ = eta + F y,  yt = y - Cb zeta^
-    q'   = L_i yt + L_q x^',  fa^ = q + F_q y + L_p yt;  s = [eta; q], with the left inverse of ``inverse``, else the
-    pseudo-inverse. The paper's law fa^' = beta L2 (yt + yt') is
+    q'   = L_i yt + L_q x^',  fa^ = q + F_q y + L_p yt;  s = [eta; q],
+
+    with the left inverse of ``inverse``, or the pseudo-inverse without it. The paper's law fa^' = beta L2 (yt + yt') is
     L_p = L_i = beta L2, integrated once so that nothing is differentiated. K is (nz, p), L_i and L_p are (a1, p).
 
     Raises
@@ -100,7 +101,7 @@ def fauio_observer(
     return ContinuousObserver(
         plant=plant,
         method=method,
-        # eta' without what is driven from outside, and q'
+        # eta' without known inputs and nonlinearities, and q'
         step=np.vstack([augmentation.L1 @ moved + K @ yt, augmentation.L_q @ moved + L_i @ yt]),
         output=np.vstack([zeta, fa, yt]),
         into=into,
@@ -129,12 +130,12 @@ def check_continuous(plant: Plant) -> None:
 
 
 def compile_continuous(observer: ContinuousObserver, rate_hz: float, report: Mapping[str, Any] | None = None) -> Gains:
-    """Return the observer as the recursion that runs at ``rate_hz``; without a report with that of its bound alone.
+    """Return the observer as the recursion that runs at ``rate_hz``; the default report has its bound alone.
 
     Raises
     ------
     ModelError
-        The rate is not positive, or the observer is unstable at it for a slope of the nonlinearities.
+        The rate is not positive, or the observer is unstable at that rate for a slope of the nonlinearities.
     InfeasibleError
         Too many slopes vary.
     """
@@ -178,13 +179,13 @@ def _recursion(observer: ContinuousObserver, period: float) -> _Recursion:
     select = np.eye(ns + m + s + p + 1 + m)
     held, g_before, v, y, one, g = np.split(select, np.cumsum([ns, m, s, p, 1]))
     now, before = np.vstack([y, v, g]), np.vstack([y, v, g_before])
-    state = held + X1 @ now  # s = st + X1 r(k), which the sample completes
+    state = held + X1 @ now  # s = st + X1 r(k), complete when the sample has arrived
     step = [
         Phi @ state + X0 @ now + np.outer(constant, one),
         g,
         observer.output @ np.vstack([state, y]),
     ]
-    # nu = H x^, with g of the sample before
+    # nu = H x^, with g of the previous sample
     arguments = plant.H @ observer.output[: len(plant.states)] @ np.vstack([held + X1 @ before, y])
     initial = np.zeros((ns + m, s + p + 1))
     initial[:ns, :s] = -X1[:, p : p + s]

@@ -1,13 +1,13 @@
 """Convex continuous-time synthesis: all gains at once from one linear matrix inequality per slope vertex.
 
 The inequality, jointly linear in all unknowns, is that of :mod:`gains.synthesis.bounded_real` (docs/theory.md, "The
-convex synthesis"). Its least mu is approached by gains that grow without bound (poles near -1e5 rad/s on the arm), and
-where no noise is modelled it is zero. So the objective is mu + rho trace(Z), as in discrete time
+convex synthesis"). Gains that approach its least mu grow without bound (poles near -1e5 rad/s on the arm), and without
+noise in the model the least mu is zero. So the objective is mu + rho trace(Z), as in discrete time
 (:mod:`gains.synthesis.convex`).
 
 It is solved in the coordinates of a continuous Kalman filter's errors and in its time scale, as in discrete time
-(:mod:`gains.synthesis.conditioning`). For the gains that result, one more inequality, in P alone and well inside, gives
-the bound that is certified.
+(:mod:`gains.synthesis.conditioning`). For the resulting gains one more inequality, in P and mu alone and solved well
+inside its boundary, gives the bound that is certified.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ GAIN_WEIGHT = 1e-4
 rad/s and gains up to 2.3e4; at 1e-6 .14517, 714 rad/s and 2.3e5, at 1e-2 .14638, 40 rad/s and 550.
 """
 _SLACKS = (1e-4, 1e-3, 1e-2)
-"""By how much mu is raised until the certificate holds: what a design loses at the most, as little as the solver
-allows.
-"""
+"""Relative increases of mu, tried in turn until the certificate holds: a design loses no more than the last one. The
+first is as small as the solver allows."""
 _SWEEPS = 8
-"""The floor of noise, and the time scale that it needs, depend on the filter that they set; it settles within a few."""
+"""Number of iterations for the floor of noise and its time scale, which depend on the filter that they determine.
+Chosen: it converges within a few."""
 _SMALLEST_SHARE = 1e-3
-"""Of the errors that matter: a state that is known better has no scale of its own."""
+"""Smallest scale of a state, as a share of the error that matters: a better known state gets this one."""
 
 
 def design_continuous(
@@ -55,12 +55,12 @@ def design_continuous(
     """Design a continuous observer for a continuous plant and prove it.
 
     ``decay`` is the range of the decay rates of the error system at every slope vertex, rad/s: -high <= Re <= -low; the
-    others are as for :func:`gains.synthesis.convex.design_convex`.
+    other parameters are as for :func:`gains.synthesis.convex.design_convex`.
 
     Raises
     ------
     ModelError
-        The model is discrete, has no faults or a hidden mode, or the range is none.
+        The model is discrete, has no faults or a hidden mode, or the range of decay rates is invalid.
     InfeasibleError
         An existence condition fails (named in the message) or the inequality has no solution.
     InaccurateError
@@ -85,7 +85,7 @@ def design_continuous(
         raise InaccurateError(f"{plant.name}: the solver found neither gains nor a proof that there are none")
     gains = user_design(problem, solution, augmentation)
     system = closed_error_system(error_model(plant, gains.inverse(augmentation)), gains)
-    # Then a P that proves these gains, as little above their least mu as passes the certificate
+    # Then find a P that proves these gains, with a mu as little above the least as the certificate accepts
     for P, mu, seconds in proofs(system, coordinates.S):
         solve_s += seconds
         design = Design("convex", None, gains, P, mu, noise_once=noise_once, solve_s=solve_s, notes=notes)
@@ -102,8 +102,8 @@ def design_continuous(
 def _coordinates(model: ErrorModel, low: float) -> tuple[Coordinates, float]:
     """Return the coordinates of a Kalman filter of at least the given decay rate, and the rate of its errors, omega.
 
-    States and outputs get a floor of fictitious noise, ``FLOOR`` of their own stationary error within the
-    filter's time constant 1 / omega, because a direction without any noise would have no scale.
+    States and outputs get a floor of fictitious noise, ``FLOOR`` of their own stationary error over the filter's time
+    constant 1 / omega, because a direction without any noise would have no scale.
     """
     A, C = model.mean + low * np.eye(len(model.weights)), model.C
     Q, S, R = model.B @ model.B.T, model.B @ model.D.T, model.D @ model.D.T
@@ -139,8 +139,9 @@ def _coordinates(model: ErrorModel, low: float) -> tuple[Coordinates, float]:
 def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: FloatArray, omega: float) -> FloatArray:
     """Return the stationary covariance of a continuous filter by structured doubling after a Cayley transform.
 
-    Q (na, na), R (p, p) and S (na, p) are the intensities of process and measurement noise and between them;
-    ``omega`` is a typical pole of the filter; the point of the transform lies that far right of every eigenvalue.
+    Q (na, na), R (p, p) and S (na, p) are the intensities of process noise, of measurement noise and of their
+    correlation; ``omega`` is a typical pole of the filter; the point of the transform lies that far to the right of
+    every eigenvalue.
     """
     inverse = np.linalg.inv(R)
     A_T = (A - S @ inverse @ C).T
@@ -154,11 +155,11 @@ def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: Floa
 
 
 def proofs(system: ClosedErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, float, float]]:
-    """Yield P, mu and seconds that prove a closed error system: the least mu, raised by more and more slack.
+    """Yield P, mu and seconds that prove a closed error system: the least mu, raised by increasing slack.
 
     With the gains fixed the bounded-real inequality is linear in P and mu. An optimum lies on its boundary, where
-    rounding decides; a P farthest inside at a slightly larger mu passes the certificate. The state is of size one in
-    the coordinates S (na, na).
+    rounding decides; a P farthest inside at a slightly larger mu passes the certificate. In the coordinates S (na, na)
+    the state has size one.
     """
     norm = max(hinf_norm(A, system.B, system.C, system.D, discrete=False).lower for A in system.A)
     if not 0.0 < norm < math.inf:
@@ -181,7 +182,7 @@ def proofs(system: ClosedErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArra
 
 
 def _proof(system: ClosedErrorSystem, mu_fixed: float | None = None) -> tuple[float | None, FloatArray, float]:
-    """Minimise mu over P, or at a fixed mu find the P farthest inside; mu, P and seconds."""
+    """Minimise mu over P, or at a fixed mu find the P farthest inside; return mu, P and seconds."""
     import cvxpy as cp
 
     na, nw = system.B.shape

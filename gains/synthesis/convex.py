@@ -3,13 +3,13 @@
 The inequality, jointly linear in all unknowns, is that of :mod:`gains.synthesis.bounded_real`; it is solved in the
 coordinates of :mod:`gains.synthesis.conditioning`.
 
-Minimising mu alone leaves the gains free where they do not matter and drives them to infinity where they
-matter a little. So the objective is mu + rho trace(Z), Z >= [Kb; L_i]^T P [Kb; L_i] + L_p^T W_f^2 L_p: the
-energy that an innovation of size one puts into the error.
+Minimising mu alone leaves those gains free that do not influence it, and drives those to infinity that influence it a
+little. So the objective is mu + rho trace(Z), Z >= [Kb; L_i]^T P [Kb; L_i] + L_p^T W_f^2 L_p: the energy that an
+innovation of size one puts into the error.
 
-The solver's time grows with the sixth power of the inequality's size and with the number of slope vertices. A large
-plant with many of them is first given one inequality with multipliers in place of them all, and beyond the number that
-can be enumerated no other. Every solution has to pass :mod:`gains.synthesis.certificate`, or it is none.
+The solver's time grows with the sixth power of the inequality's size and with the number of slope vertices. For a large
+plant with many vertices one inequality with multipliers is tried first in place of them all, and it is the only one if
+there are too many vertices to enumerate. Only a solution that passes :mod:`gains.synthesis.certificate` counts.
 """
 
 from __future__ import annotations
@@ -35,28 +35,25 @@ from gains.synthesis.conditioning import Coordinates, doubled, kalman_coordinate
 from gains.synthesis.design import Design, ObserverMatrices, observer_matrices
 
 GAIN_WEIGHT = 1e-3
-"""Price of the gains. Measured on the disturbed arm at 100 Hz: sqrt(mu) is .2 % above the least (.14034, .14009) with
-23 for the largest gain; at 1e-2 .7 % and 12, at 1e-1 2 % and 6. On the quadrotor every price gives 26.0 within .5 %.
-"""
+"""Price of the gains. Measured on the disturbed arm at 100 Hz: sqrt(mu) is .2 % above the least (.14034, .14009) with a
+largest gain of 23; at 1e-2 .7 % and 12, at 1e-1 2 % and 6. On the quadrotor every price gives 26.0 within .5 %."""
 _SLACKS = (1e-3, 1e-2, 5e-2)
-"""By how much mu is raised until the certificate holds: what a design loses at the most, as little as the solver
-allows.
-"""
+"""Relative increases of mu, tried in turn until the certificate holds: a design loses no more than the last one. The
+first is as small as the solver allows."""
 _LARGEST_CONE = 5_000
-"""Entries of all vertex inequalities together. Up to there the solver needs seconds; its time grows with the sixth
-power of the size.
-"""
+"""Largest number of entries of all vertex inequalities together, above which multipliers are tried first. Up to it the
+solver needs seconds; its time grows with the sixth power of the size."""
 _CAUTION = (0.0, 1e-2, 1e-1, 1.0)
-"""Noise that is added to the outputs, in units of what errors that matter make of them, from none to as much again.
-Measured with gains bounded by 5: without, none are found for the arm.
-"""
+"""Noise that is added to the outputs to bound the gains, in units of the outputs that the errors that matter cause,
+tried in turn. Measured with gains bounded by 5: without added noise none are found for the arm."""
 _LOOSENESS = (4.0, 1.5, 0.7, 0.35)
-"""The condition of the gains asks for more than their bound needs: the loosest that keeps them within comes first.
-Measured on the arm, bounds of 5 and 1: sqrt(mu) is .072 and .36 with these, .086 and .54 with 1 alone.
-"""
+"""Bounds of [Kb; L_i] relative to the bound of the gains, tried in turn, the loosest first: the condition is stricter
+than the bound of the entries. Measured on the arm, bounds of 5 and 1: sqrt(mu) is .072 and .36 with these, .086 and .54
+with 1 alone."""
 
 _MARGINS = (1e-3, 1e-2, 1e-1)
-"""By how much the bound lies above the norm, tried in turn until the certificate holds: what a design loses by it."""
+"""Relative distances of the bound above the norm, tried in turn until the certificate holds: a design loses that
+much."""
 _INSIDE = 1e-2
 """eps, as a share of a margin and of the size of C^T C. Chosen: smaller leaves less room for rounding, larger moves the
 bound by more than its margin.
@@ -89,36 +86,36 @@ def design_convex(
     pole_radius : float
         Upper bound of the size of every pole of the error system at every slope vertex, in (0, 1].
     gain_weight : float
-        rho, the price of the energy that an innovation puts into the error, against mu; positive. Less of it
-        follows noise that the scales call harmless more closely.
+        rho, the price of the energy that an innovation puts into the error, against mu; positive. With a lower price
+        the estimates follow noise that is small by its scale more closely.
     gain_bound : float | None
-        Bound of every entry of K, L_i and L_p by size, in the user's units; positive. It is met by a sufficient
-        convex condition (:mod:`gains.synthesis.bounded_real`), as loose a one as gets there: mu need not be the least
-        that some gains within the bound have. With P given the condition is exact.
+        Bound of every entry of K, L_i and L_p by size, in the user's units; positive. It is enforced by a sufficient
+        convex condition (:mod:`gains.synthesis.bounded_real`), the loosest that leads to it: other gains within the
+        bound may have a smaller mu. With P given the condition is exact.
     integrator_order : int
-        1 for actuator faults that move at no more than their rate; 2 for those that ramp: their rate then is that
-        of their rate, per second squared, and a steady ramp is followed without lag.
+        1 for actuator faults that move at no more than their rate; 2 for actuator faults that ramp: their rate then is
+        the rate of change of their rate, per second squared, and a steady ramp is followed without lag.
     h2 : float
         alpha in [0, 1]: 0 minimises the bound of the largest energy of the error, 1 that of its energy under white
-        noise in every input (the squared H2 norm), and what lies between (1 - alpha) mu + alpha trace(W).
+        noise in every input (the squared H2 norm), and a value in between (1 - alpha) mu + alpha trace(W).
     vertices : bool | None
         One inequality per slope vertex (the least bound), or one with multipliers for all, which holds for slopes that
-        move too; None takes multipliers where the vertices would take long or are too many, and the vertices where
+        move too; None takes multipliers if the vertices would take long or are too many, and the vertices if
         multipliers fail.
     P : FloatArray | None
-        Lyapunov matrix (na, na) of an earlier design for the same error system, in the user's units. Designs with one
-        P may be exchanged for each other while they run, at any time: x~' P x~ proves the largest of their bounds.
+        Lyapunov matrix (na, na) of an earlier design for the same error system, in the user's units. Designs with one P
+        may be exchanged for each other while they run, at any time: x~' P x~ then proves the largest of their bounds.
     inverse : ObserverMatrices | None
-        An observer of this plant whose left inverse [L1 F; L_q F_q] is kept: that of the design which P is of, for
-        designs that may be exchanged have to have one error. None leaves the pseudo-inverse where P is given.
+        An observer of this plant whose left inverse [L1 F; L_q F_q] is kept: that of the design of P, because designs
+        that may be exchanged need the same error. None keeps the pseudo-inverse if P is given.
     free_inverse : bool
-        Whether the left inverse is found with the gains. Else it is the pseudo-inverse, as published; so it is where P
-        is given, or a bound of the gains, which F would go around (on the arm at 100 Hz with .01 for the largest gain:
-        sqrt(mu) = .144).
+        Whether the left inverse is found with the gains. Otherwise it is the pseudo-inverse, as published, and also if
+        P or a bound of the gains is given: F would take the place of bounded gains (on the arm at 100 Hz with a largest
+        gain of .01: sqrt(mu) = .144).
     noise_once : bool
         Bound the error against [w; df_a] instead of [w; w+; df_a], which counts noise twice: choose it to compare the
-        bound with errors that noise makes. F then moves the sensor faults' estimates alone and is not free. At low
-        rates the bound is larger for it (the disturbed arm: .146 at 100 Hz, .148 at 20, .218 at 10).
+        bound with errors caused by noise. F then moves the sensor faults' estimates alone and is not free. At low rates
+        the bound is larger with it (the disturbed arm: .146 at 100 Hz, .148 at 20, .218 at 10).
 
     Raises
     ------
@@ -147,7 +144,7 @@ def design_convex(
         augmentation = inverse.inverse(augmentation)
     too_many = 1 << varying_slopes(plant) > LARGEST_VERTEX_COUNT
     sampled = vertices is False or (vertices is None and too_many)
-    # A chain of integrators hides the same modes as one: what exists for order 1 exists for order 2.
+    # A chain of integrators hides the same modes as one: a design exists for order 2 if it exists for order 1.
     notes = check_existence(discrete, sampled=sampled)
     model = error_model(discrete, augmentation, integrator_order, sampled=sampled)
     free = free_inverse and P is None and inverse is None and gain_bound is None
@@ -160,7 +157,7 @@ def design_convex(
 def _wrong_option(
     pole_radius: float, gain_weight: float, gain_bound: float | None, integrator_order: int, h2: float
 ) -> str | None:
-    """Return the first option that is out of range, and its range; None where all are within theirs."""
+    """Return the first option that is out of range, and its range; None if all are within theirs."""
     if not 0.0 < pole_radius <= 1.0:
         return f"a pole radius of {pole_radius} does not lie in (0, 1]"
     if not 0.0 < gain_weight < np.inf:
@@ -175,20 +172,20 @@ def _wrong_option(
 
 
 class _Search(NamedTuple):
-    """What all attempts at a design share: the sampled plant, its errors, and which slopes are looked at how."""
+    """Data of all attempts at a design: the sampled plant, its error system, and the treatment of its slopes."""
 
     plant: Plant
     augmentation: Augmentation
     model: ErrorModel
     vertices: bool | None  # as for :func:`design_convex`
-    too_many: bool  # to be enumerated
+    too_many: bool  # whether there are too many vertices to enumerate
 
 
 def _bounded(search: _Search, asked: Demands, caution: float = 0.0) -> Design:
-    """Return the first certified design, as much noise added to the outputs as ``caution`` says."""
+    """Return the first certified design, with ``caution`` noise added to the outputs."""
     coordinates = kalman_coordinates(search.model, asked.pole_radius, caution)
     if asked.free:
-        # the pseudo-inverse has fewer unknowns: what stops the solver short with them may go without
+        # the pseudo-inverse has fewer unknowns, so that the solver may succeed with it if it stops short here
         with suppress(InaccurateError):
             return _searched(search, _problems(search, coordinates, asked))
         asked = replace(asked, free=False)
@@ -203,7 +200,7 @@ def _bounded(search: _Search, asked: Demands, caution: float = 0.0) -> Design:
 
 
 def _problems(search: _Search, coordinates: Coordinates, asked: Demands) -> tuple[Inequality, ...]:
-    """Return the inequalities to try in turn: with multipliers where asked for or the size demands, with vertices."""
+    """Return the inequalities to try in turn: with multipliers if requested or for a large size, then with vertices."""
     model = search.model
     plain, at_once = (replace(asked, multipliers=multipliers) for multipliers in (False, True))
     if len(model.A) > 1 and (search.vertices is False or search.too_many):
@@ -216,7 +213,7 @@ def _problems(search: _Search, coordinates: Coordinates, asked: Demands) -> tupl
 
 
 def _within(search: _Search, asked: Demands, bound: float) -> Design:
-    """Return the first design whose gains are within their bound: without any condition, then along the ladder."""
+    """Return the first design whose gains are within their bound: without a condition, then with stricter ones."""
     design = _bounded(search, asked)
     smallest, solve_s = design.gains.gain_max_abs, design.solve_s
     for caution, looseness in itertools.product(_CAUTION, _LOOSENESS) if asked.P is None else [(0.0, 1.0)]:
@@ -243,7 +240,7 @@ def _searched(search: _Search, problems: Sequence[Inequality]) -> Design:
                 design = _design(search, problem, solution)
                 if certify(search.plant, design).holds:
                     return replace(design, solve_s=solve_s)
-        except InfeasibleError:  # multipliers ask for more than the vertices: their failure proves nothing
+        except InfeasibleError:  # multipliers are stricter than the vertices: their failure proves nothing
             if problem is problems[-1]:
                 raise
     raise InaccurateError(
@@ -253,7 +250,7 @@ def _searched(search: _Search, problems: Sequence[Inequality]) -> Design:
 
 
 def _by_riccati(search: _Search, asked: Demands) -> Design | None:
-    """Return a certified filter for a linear plant on which the solver stopped short; None where it proves nothing."""
+    """Return a certified filter for a linear plant on which the solver stopped short; None if it proves nothing."""
     plant, augmentation, model = search.plant, search.augmentation, search.model
     nz = len(augmentation.L1)
     for injection, L_p, P, mu in _riccati_proofs(model, kalman_coordinates(model, asked.pole_radius)):
@@ -278,14 +275,14 @@ def _riccati_proofs(
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, float]]:
     """Yield [Kb; L_i], L_p, P and mu in users' units for a linear discrete error system, the least mu first.
 
-    Where numbers lie far apart the solver of matrix inequalities can stop short although gains exist. A Kalman filter
-    exists whenever the plant is detectable, and its coordinates are those in which its own error is of size one. In
-    them the least storage function for a bound gamma above the norm of the closed error system solves
+    If numbers differ by many orders, the solver of matrix inequalities can stop short although gains exist. A Kalman
+    filter exists whenever the plant is detectable, and in its coordinates its own error has size one. There the least
+    storage function for a bound gamma above the norm of the closed error system solves
 
         P = A^T P A + C^T C + eps I + (A^T P B + C^T D) (gamma^2 I - D^T D - B^T P B)^-1 (A^T P B + C^T D)^T
 
-    and eps > 0 puts it inside the inequality of the certificate, which decides. The bound is that of these gains, not
-    the least there is.
+    and eps > 0 puts it inside the inequality of the certificate, which decides. The bound holds for these gains; others
+    may have a smaller one.
     """
     S, a1 = coordinates.S, model.a1
     inverse = np.linalg.inv(S)
@@ -319,7 +316,7 @@ def _solutions(problem: Inequality) -> Iterator[tuple[Solution, float]]:
     if best is None:
         return
     yield best, solve_s
-    # Where gains are bounded the next condition of the ladder is worth more than more slack.
+    # With bounded gains the next condition helps more than more slack.
     for slack in _SLACKS if problem.asked.gain_bound == np.inf else _SLACKS[:1]:
         solution, seconds = solve_bounded_real(problem, (best.mu * (1.0 + slack), best.noise_energy * (1.0 + slack)))
         solve_s += seconds

@@ -1,4 +1,4 @@
-"""A designed observer: gains in the user's units, the matrix that proves them and the bound it proves."""
+"""A designed observer: gains in the user's units, the matrix that proves their bound, and that bound."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ObserverMatrices:
     F: FloatArray
     N: FloatArray
     J: FloatArray
-    # (nq, n) and (nq, p); (0, 0) where q is moved by innovations alone
+    # (nq, n) and (nq, p); (0, 0) if innovations alone move q
     L_q: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     F_q: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -52,29 +52,29 @@ def observer_matrices(augmentation: Augmentation, K: FloatArray, L_i: FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """Gains of one observer, discrete or continuous, and what proves them."""
+    """Gains of one observer, discrete or continuous, and their proof."""
 
     method: str  # ``"convex"``, ``"theorem1"`` or ``"theorem2"``
     rate_hz: float | None  # samples per second; None in continuous time
-    gains: ObserverMatrices  # K, L_i, L_p and what follows from them
+    gains: ObserverMatrices  # K, L_i, L_p and the matrices that follow from them
     P: FloatArray  # matrix of the bounded-real inequality (na, na), na = nz + a1 times the order of the integrators
     # the bound: |e|^2 summed (or integrated) over time is at most mu times that of the scaled [w; w+; df_a], or of [w;
-    # df_a] where noise counts once
+    # df_a] if noise counts once
     mu: float
     # multipliers of the slopes that vary (2, k) where they prove the bound, and the pole radius, in place of the
     # vertices
     multipliers: FloatArray | None = None
-    # what was asked of a discrete design: the largest size of a pole, and of an entry of the gains
+    # required of a discrete design: the largest size of a pole, and of an entry of the gains
     pole_radius: float = 1.0
     gain_bound: float = math.inf
-    gain_weight: float = 0.0  # the price of the gains that the design was found with
+    gain_weight: float = 0.0  # the price of the gains in the synthesis
     # coordinates of P: [zeta~; z] with z = f_a - q of the convex synthesis, or [zeta~; fa~] of the paper
     fault_state: FaultState = "integral"
     noise_once: bool = False  # whether the bound is against [w; df_a]: F then moves the sensor faults' estimates alone
-    # time in the solver and in all, seconds
+    # time in the solver and in total, seconds
     solve_s: float = 0.0
     total_s: float = 0.0
-    notes: tuple[str, ...] = ()  # what a person should know about the faults of this model
+    notes: tuple[str, ...] = ()  # remarks about the faults of this model for people
 
     @property
     def domain(self) -> Domain:
@@ -93,9 +93,9 @@ class Design:
 
 
 def design_figures(model: str, method: str, domain: str, rate_hz: float | None, **known: Any) -> dict[str, Any]:
-    """Return what a design is worth as the JSON object of the command line and the gains file.
+    """Return the figures of a design as the JSON object of the command line and the gains file.
 
-    Figures that every design is asked for are None where they are not known.
+    The figures that every design reports are None if they are not known.
     """
     return {
         "model": model,

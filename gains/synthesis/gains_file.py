@@ -1,4 +1,4 @@
-"""Compiled gains: all the running observer needs, in one readable JSON file that reads back to the same bits."""
+"""Compiled gains: all that the running observer needs, in a readable JSON file that is read back without rounding."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from adapters.toml_tables import is_number
 from gains.plants.expression import compile_expression
 
 FORMAT = 2
-"""Number of the layout: a reader refuses what it does not know."""
+"""Number of the layout: a reader refuses layouts that it does not know."""
 _ADDED: Mapping[str, Any] = {"L_q": {"shape": [0, 0], "rows": []}, "F_q": {"shape": [0, 0], "rows": []}}
-"""What files of layout 1 do not have, and what it means there."""
+"""Fields that files of layout 1 do not have, and the values that they stand for there."""
 _LARGEST_FILE = 16 << 20
-"""Bytes. A quadrotor has 10,000, the sensors of a vehicle 26,000; a file from elsewhere shall not fill the memory."""
+"""Largest size of a file, bytes. A quadrotor has 10,000, the sensors of a vehicle 26,000; a file of unknown origin must
+not fill the memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class ScalarNonlinearity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gains:
-    """A compiled observer; the recursion it stands for is that of :mod:`monitor.estimation.affine`."""
+    """A compiled observer; :mod:`monitor.estimation.affine` runs its recursion."""
 
     # name and hash of the plant model it was designed for
     model: str
@@ -51,7 +52,7 @@ class Gains:
     # ``"actuator"`` or ``"sensor"``, and the unit, of each fault
     fault_kinds: tuple[str, ...]
     fault_units: tuple[str, ...]
-    # index of the input whose effect each actuator fault changes, None where it changes none
+    # index of the input whose effect each actuator fault changes, None if it changes none
     fault_inputs: tuple[int | None, ...]
     input_taps: tuple[float, ...]  # delays h_0, h_1, ... that are folded into the matrices
     input_curves: NDArray[np.float64]  # coefficients c1, c2, ... of v = curve(u) (s, degree)
@@ -62,7 +63,7 @@ class Gains:
     step_matrix: NDArray[np.float64]
     argument_matrix: NDArray[np.float64]
     initial_matrix: NDArray[np.float64]
-    # the observer's matrices as the theory writes them, for people; empty where it has another structure
+    # the observer's matrices as the theory writes them, for people; empty if it has another structure
     K: NDArray[np.float64]
     L_i: NDArray[np.float64]
     L_p: NDArray[np.float64]
@@ -72,7 +73,7 @@ class Gains:
     J: NDArray[np.float64]
     L_q: NDArray[np.float64]
     F_q: NDArray[np.float64]
-    report: Mapping[str, Any]  # what the design is worth: bound, norm, certificate
+    report: Mapping[str, Any]  # figures of the design: bound, norm, certificate
 
 
 def write_gains(gains: Gains, path: str | Path) -> None:
@@ -139,7 +140,7 @@ def _check_shapes(gains: Gains) -> None:
         raise ModelError("'rate_hz' is not positive")
     a1 = kinds.count("actuator")
     nz = n + len(kinds) - a1
-    # A continuous design brings its own states, and matrices for people only where it has the paper's structure.
+    # A continuous design has its own states, and matrices for people only if it has the paper's structure.
     continuous = gains.domain == "continuous"
     nq = len(gains.L_i) if len(gains.L_i) == 2 * a1 and not continuous else a1
     ns = len(gains.initial_matrix) if continuous else nz + nq + s * (len(gains.input_taps) - 1)

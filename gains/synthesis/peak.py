@@ -1,16 +1,16 @@
 """Largest errors of a discrete design channel by channel, in users' units, for signals of their stated sizes.
 
-sqrt(mu) bounds the energy of all errors together by that of everything unknown. A user asks for less and more: how far
+sqrt(mu) bounds the energy of all errors together by that of everything unknown. A user wants another figure: how far
 can this estimate be off at any one time, if no gust and no noise is larger than the model says and the faults move no
 faster? For the error system at the mean slopes that is a sum of sizes of an impulse response (the l1 norm): signals of
-size one move output i by at most sum_k |(C A^k B)_ij|, and some do.
+size one move output i by at most sum_k |(C A^k B)_ij|, and some signals do.
 
 Slopes that vary are p = delta q, |delta_i| <= 1, from the arguments q of the error to its states. With S the sums
 between (w, p) and (e, q) the largest arguments obey |q| <= S_qw |w| + S_qp |q|, so that
 
     |e| <= (S_ew + S_ep (I - S_qp)^-1 S_qw) |w|        where the spectral radius of S_qp is below one
 
-whatever the slopes do from sample to sample; where it is not, this way gives no bound.
+for slopes that vary in any way from sample to sample; if the spectral radius is not below one, there is no bound.
 
 Noise counts once: with the error coordinates zeta~ + F D w only w itself drives the error, not w and w+.
 """
@@ -27,18 +27,19 @@ from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.design import Design
 
 _FORGOTTEN = 1e-6
-"""Of the largest error of each kind: where the sums end. What follows is bounded and added."""
+"""Share of the largest error of each kind at which the sums end. The remainder is bounded and added."""
 _LONGEST = 200_000
-"""Samples that are summed at most: 33 minutes at 100 Hz, a second of time. An error that lasts longer gets no bound."""
+"""Largest number of samples that are summed: 33 minutes at 100 Hz, a second of computing. An error that lasts longer
+gets no bound."""
 _SHARE, _SHOWN = 1e-5, 0.01
-"""Of a bound: from where a cause is listed, above what bounding the end of the sums adds; from where it is printed."""
+"""Shares of a bound from which a cause is listed, above the remainder of the sums, and from which it is printed."""
 
 
 def peak_bounds(plant: Plant, design: Design) -> dict[str, Any] | None:
-    """Return the largest error of each fault and state of a sampled plant, and what makes it; None without a bound.
+    """Return the largest error of each fault and state of a sampled plant, and its causes; None without a bound.
 
-    Each channel has ``at_most`` and ``unit``, and ``from``, what each disturbance or noise of its scale, and each
-    actuator fault that moves at its rate, makes of it alone.
+    Each channel has ``at_most`` and ``unit``, and ``from``, the error that each disturbance or noise of its scale, and
+    each actuator fault that moves at its rate, causes alone.
     """
     augmentation = design.gains.inverse(augment(plant, design.integrator_order))
     model = error_model(plant, augmentation, design.integrator_order, sampled=True)
@@ -84,7 +85,7 @@ def peak_bounds(plant: Plant, design: Design) -> dict[str, Any] | None:
 
 
 def _summed(A: FloatArray, B: FloatArray, C: FloatArray, sizes: FloatArray) -> FloatArray | None:
-    """Return a bound of sum_k |C A^k B| that is exact to ``_FORGOTTEN``; None where it takes too long."""
+    """Return a bound of sum_k |C A^k B| that is exact to ``_FORGOTTEN``; None if it takes too long."""
     A, B, C = A * sizes / sizes[:, None], B / sizes[:, None], C * sizes
     step, power, row_sums = np.eye(len(A)), 0, np.zeros(len(C))
     while power == 0 or np.max(np.sum(np.abs(step), axis=1)) >= 0.5:
@@ -97,7 +98,7 @@ def _summed(A: FloatArray, B: FloatArray, C: FloatArray, sizes: FloatArray) -> F
         for _ in range(power):
             total += np.abs(C @ X)
             X = A @ X
-        # what is left halves with each so many steps
+        # the remainder halves with each block of this many steps
         left = 2.0 * row_sums[:, None] * np.max(np.abs(X), axis=0, initial=0.0)
         if np.all(left <= _FORGOTTEN * np.max(total, axis=1, keepdims=True, initial=0.0)):
             return np.asarray(total + left)
@@ -105,7 +106,7 @@ def _summed(A: FloatArray, B: FloatArray, C: FloatArray, sizes: FloatArray) -> F
 
 
 def bound_lines(faults: Iterable[str], bounds: Mapping[str, Any]) -> list[str]:
-    """Return what the report for people says about the largest errors of the faults."""
+    """Return the largest errors of the faults as text for the report."""
     lines = []
     for name in faults:
         unit = f" {bounds[name]['unit']}" if bounds[name]["unit"] else ""

@@ -1,4 +1,4 @@
-"""Clarabel behind CVXPY, with settings that take badly conditioned inequalities to their optimum."""
+"""Clarabel behind CVXPY, with settings that solve badly conditioned inequalities to their optimum."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ ROBUST: Mapping[str, Any] = {
     "iterative_refinement_abstol": 1e-14,
     "iterative_refinement_stop_ratio": 1.5,
 }
-"""With its defaults Clarabel gives up on the nearly singular systems at the end of such problems; a larger static
-regularisation, repaired by more iterative refinement, takes it to the optimum. Measured on the disturbed arm at 100 Hz:
-the defaults end without a certificate, a regularisation from 1e-8 to 1e-4 gives the same bound.
-"""
+"""Settings for badly conditioned problems. With its defaults Clarabel fails on the nearly singular systems at the end
+of such problems; a larger static regularisation, corrected by more iterative refinement, reaches the optimum. Measured
+on the disturbed arm at 100 Hz: the defaults end without a certificate, a regularisation from 1e-8 to 1e-4 gives the
+same bound."""
 
 
 def solve_program(program: Any, *attempts: Mapping[str, Any]) -> float:
     """Solve with Clarabel, once for each of the settings until one succeeds; return the seconds it took.
 
     Use it for every inequality. A failure is no error here: it shows in the program's status and in values that are
-    None. What the solver itself calls inaccurate is kept, for a certificate decides about it.
+    None. A solution that the solver itself calls inaccurate is kept, because a certificate decides.
     """
     import cvxpy as cp
 
@@ -35,7 +35,7 @@ def solve_program(program: Any, *attempts: Mapping[str, Any]) -> float:
     for settings in attempts:
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # "may be inaccurate": the certificate decides that
+                warnings.simplefilter("ignore")  # suppresses "may be inaccurate": the certificate decides
                 program.solve(solver=cp.CLARABEL, **settings)
         except cp.SolverError:
             continue
@@ -46,7 +46,7 @@ def solve_program(program: Any, *attempts: Mapping[str, Any]) -> float:
 
 
 def gain_energy(P: Any, R: Any, border: Sequence[Any] = ()) -> tuple[Any, Any]:
-    """Return trace(Z) and the constraint Z >= R^T P^-1 R: the energy that an innovation of size one puts into P.
+    """Return trace(Z) and the constraint Z >= R^T P^-1 R: an innovation's energy in the norm of P.
 
     A ``border``, a last block row of the constraint as of :func:`bordered`, adds its own energy.
     """

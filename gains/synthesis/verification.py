@@ -1,12 +1,13 @@
 """A gains file's certificate, verified from the file alone and in exact arithmetic.
 
-Every number of the file is a fraction. With them the inequality of :mod:`gains.synthesis.certificate` is formed without
+Every number of the file is a fraction, so that the inequality of :mod:`gains.synthesis.certificate` is formed without
 any rounding. That a matrix M is positive definite is shown by a witness: scaled by powers of two, M - L L^T is strictly
-diagonally dominant for a triangular L of whole numbers, and therefore M = L L^T + (M - L L^T) > 0. Where L comes from
-does not matter, so that it may come from NumPy.
+diagonally dominant for a triangular L of whole numbers, and therefore M = L L^T + (M - L L^T) > 0. Any such L proves
+it, so that NumPy may compute it.
 
-[L1 F; L_q F_q] inverts [T; Cb] but for rounding. What is proven is the observer whose F is the nearest that does, L1
-and L_q following from it; the distance is part of the verdict, beside what N, J and the matrices that run are off.
+[L1 F; L_q F_q] inverts [T; Cb] except for rounding. The proof is for the observer with the nearest F that inverts it
+exactly, from which L1 and L_q follow. The distance to that observer is part of the verdict, and so are the deviations
+of N, J and the matrices that run.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _DIGITS = 60
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """What was verified: the bound, the floor beside it, at how many slope vertices (one with multipliers)."""
+    """The result of a verification: the bound, the floor, and the number of slope vertices (one with multipliers)."""
 
     path: str
     sqrt_mu: float
@@ -63,7 +64,7 @@ def verify_gains(path: str | Path) -> Verified:
     Raises
     ------
     ModelError
-        The file is none, holds no certificate, or one that does not hold; one line says which and why.
+        The file is no gains file, contains no certificate, or one that does not hold; the message states which and why.
     """
     gains = read_gains(path)
     plant, design, floor = _claimed(gains, path)
@@ -126,7 +127,7 @@ def _claimed(gains: Gains, path: str | Path) -> tuple[Plant, Design, float | Non
 
 
 def _check_matrices(gains: Gains, plant: Plant, design: Design, path: str | Path) -> None:
-    """Refuse matrices that run, or are for people, but are not those that are proven."""
+    """Refuse matrices, of the recursion or for people, that differ from the proven ones."""
     try:
         certificate = certify(plant, design)
     except ModelError as error:
@@ -157,7 +158,7 @@ def _exact(array: FloatArray) -> Any:
 
 
 class _ExactSystem:
-    """The closed error system of a design in fractions, as :mod:`gains.analysis.augment` has it in numbers."""
+    """The closed error system of a design in fractions; :mod:`gains.analysis.augment` has the same in floats."""
 
     def __init__(self, plant: Plant, design: Design) -> None:
         self.design, self.discrete = design, plant.rate_hz is not None
@@ -188,7 +189,7 @@ class _ExactSystem:
         self.K = K
         injection = np.vstack([K, self.L_i]) + L @ E_f @ self.L_p
         self.C = np.hstack([C_b, _exact(np.zeros((len(C_b), nq)))])
-        # what w makes of zeta~ beside the states: -F D where noise counts once
+        # direct path from w to zeta~: -F D if noise counts once
         self.moved = -F @ D if design.noise_once else _exact(np.zeros((self.na, q)))
         self.D = np.hstack([D + self.C @ self.moved, _exact(np.zeros((len(C_b), driven - q)))])
         self.D_rate = np.hstack([_exact(np.zeros((len(C_b), q))), D, _exact(np.zeros((len(C_b), a1)))])
@@ -235,7 +236,7 @@ class _ExactSystem:
         return [np.block(rows)]
 
     def _output(self) -> tuple[Any, Any]:
-        """Return C and D of e, not weighted: the weights stand as squared errors in place of the identity."""
+        """Return C and D of e, not weighted: squared errors replace the identity instead."""
         C_e = _exact(np.eye(self.nz + self.a1, self.na))
         D_e = _exact(np.zeros((self.nz + self.a1, self.B.shape[1])))
         D_e[: self.nz, : self.moved.shape[1]] = self.moved[: self.nz]
@@ -255,7 +256,7 @@ class _ExactSystem:
 
 
 def _left_inverse(plant: Plant, gains: ObserverMatrices, C_b: Any) -> tuple[Any, Any]:
-    """Return [L1; L_q] and [F; F_q], the nearest that invert [T; Cb] exactly."""
+    """Return [L1; L_q] and [F; F_q]: the nearest ones that invert [T; Cb] exactly."""
     n, nz, nq = len(plant.states), len(gains.L1), len(gains.L_i)
     F = np.vstack([_exact(gains.F), _exact(gains.F_q if gains.F_q.size else np.zeros((nq, gains.F.shape[1])))])
     wanted, D_f = _exact(np.eye(nz + nq, nz)), C_b[:, n:]
@@ -280,7 +281,7 @@ def _scaled(columns: FloatArray, signals: Any) -> Any:
 
 
 def _chain(a1: int, nq: int, rate_hz: float | None) -> Any:
-    """Return how q goes on by itself, with 1 / rate_hz as a fraction."""
+    """Return the dynamics of q without inputs, with 1 / rate_hz as a fraction."""
     chain = _exact(integrators(a1, nq // a1 if a1 else 1, 1.0))
     chain[:a1, a1:] = chain[:a1, a1:] / Fraction(rate_hz or 1.0)
     return chain
@@ -297,7 +298,7 @@ def _is_positive(matrix: Any) -> bool:
     size = len(matrix)
     if any(matrix[k, k] <= 0 for k in range(size)):
         return False
-    # powers of two that bring the diagonal near one: exact, and no matrix loses or gains definiteness by them
+    # powers of two that bring the diagonal near one: exact, and they do not change definiteness
     scale = [Fraction(2) ** (-round(np.log2(float(matrix[k, k])) / 2.0)) for k in range(size)]
     scaled = matrix * np.array(scale, dtype=object) * np.array(scale, dtype=object)[:, None]
     rounded = scaled.astype(np.float64)
