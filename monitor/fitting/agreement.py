@@ -1,16 +1,15 @@
-"""Which of a vehicle's flights disagree: each one's own estimate of the effects against that of the others.
+"""Find the flights of a vehicle that disagree: each flight's own estimate of the effects against that of the others.
 
-Flights of one vehicle differ by more than their standard errors say: batteries, wind, trim. So between flights there is
-a scatter tau of its own: what is usual, as if two flights had shown it, and what the others show (DerSimonian and
-Laird, Controlled Clinical Trials 7, 1986). A flight f disagrees where
+Flights of one vehicle differ by more than their standard errors: batteries, wind, trim. So there is a scatter tau
+between flights: the usual one, with the weight of two flights, combined with the one that the others show (DerSimonian
+and Laird, Controlled Clinical Trials 7, 1986). A flight f disagrees if
 
     (x_f - m)' (C_f + diag(tau^2 + v))^-1 (x_f - m)     x_f, C_f: its estimates and their covariance; m, v: mean and
                                                         its variance of the others, weighted 1 / (C + tau^2)
 
-is larger than a chi-square of as many degrees of freedom as there are estimates is by chance. A cause, a motor for
-instance, moves the estimates in one direction d: where it explains what is off, it is named. A flight that is far off
-is left out where two thirds of the flights agree: thresholds that have to bear a propeller that was cut for one flight
-see none.
+exceeds what chi-square, with one degree of freedom for each estimate, reaches by chance. A cause, a motor for instance,
+moves the estimates in one direction d: it is named if it explains the difference. A flight that is far off is left out
+if two thirds of the flights agree, so that a propeller that was cut for one flight does not raise the thresholds.
 """
 
 from __future__ import annotations
@@ -25,30 +24,31 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 _CHANCE = 1e-2
-"""A fit says that some flight disagrees where none does once in a hundred fits. Chosen: it costs nothing but a line."""
+"""Probability by which a fit of flights that all agree reports one that disagrees: once in a hundred fits. Chosen: such
+a report costs nothing but a line."""
 _SIGMA = 3.0
-"""Estimates that are named: those three standard deviations off and more."""
+"""Least difference of an estimate that is named, in standard deviations."""
 _FAR, _FAR_SIGMA = 0.05, 5.0
-"""A flight is left out where an estimate is apart from the others' by 5 %, of which a profile makes an alarm, and by
-five standard deviations, which chance does not do."""
+"""A flight is left out if an estimate differs from the others' by 5 %, from which a profile makes an alarm, and by five
+standard deviations, which does not happen by chance."""
 _LEFT_OUT = 1.0 / 3.0
-"""Share of the flights that may be left out: of more nobody knows which are right."""
+"""Largest share of the flights that may be left out: of more, nobody knows which are right."""
 _LEAST_VARIANCE = 1e-12
-"""Of shares: none is known better than to a millionth, and weights stay finite."""
+"""Least variance of a share: no share is known better than to a millionth, and weights stay finite."""
 _MOST_NAMED = 3
-"""Chosen: what a line can hold."""
+"""Most estimates that are named. Chosen: as many as fit into a line."""
 _USUAL_COUNTS = 2.0
-"""Flights that the usual scatter is worth. Measured on 50 simulated flights: with two, four healthy ones in calm and in
+"""Weight of the usual scatter, in flights. Measured on 50 simulated flights: with two, four healthy ones in calm and in
 wind agree, and one of them beside a battery that sags by 15 % does not."""
 _BLOCK_S = (2.0, 5.0)
-"""Shortest and longest blocks whose errors are taken as independent, seconds: gusts and manoeuvres take some. There
-have to be twice as many as coefficients, or their covariance is of no use: a flight that is shorter says nothing.
-"""
+"""Shortest and longest blocks whose errors are taken as independent, seconds: as long as gusts and manoeuvres last.
+There have to be twice as many blocks as coefficients, or their covariance is of no use: a shorter flight yields no
+estimate."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedEffect:
-    """An estimate that each flight makes: its name, what it says when it is smaller or larger than in the others.
+    """An estimate that each flight makes: its name, and the texts for one that is smaller or larger than in the others.
 
     ``scatter`` is the usual standard deviation between healthy flights.
     """
@@ -61,9 +61,9 @@ class ComparedEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cause:
-    """An actuator that moves the estimates by ``direction`` (k,) where it does nothing; ``text`` says so of a share.
+    """An actuator whose complete failure moves the estimates by ``direction`` (k,); ``text`` states a share of it.
 
-    The autopilot makes up for a loss by more command, so that a lack by x is a loss of x / (1 + x).
+    The autopilot compensates a loss by more command, so that a lack by x is a loss of x / (1 + x).
     """
 
     text: str
@@ -72,10 +72,10 @@ class Cause:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightEffects:
-    """What one flight says of the effects.
+    """The estimates of the effects from one flight.
 
-    ``values`` (k,) and ``covariance`` (k, k) are in shares, of the pooled effects for instance;
-    ``seconds`` is the healthy flight they are from.
+    ``values`` (k,) and ``covariance`` (k, k) are shares, of the pooled effects for instance; ``seconds`` is the length
+    of the healthy flight.
     """
 
     name: str
@@ -84,17 +84,18 @@ class FlightEffects:
     covariance: FloatArray
 
     def first(self, count: int) -> FlightEffects:
-        """Return the first estimates alone."""
+        """Return only the first estimates."""
         return FlightEffects(self.name, self.seconds, self.values[:count], self.covariance[:count, :count])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightVerdict:
-    """How one flight goes with the others.
+    """The comparison of one flight with the others.
 
-    ``weight`` is its share in the mean of all, ``apart`` how far each estimate is from the others' mean and ``sigma``
-    how many standard deviations that is (k,). ``chi_square`` of ``freedom`` degrees is exceeded by chance with
-    probability ``chance``. ``cause`` is a single one that explains it, with the share lost and its standard deviations.
+    ``weight`` is its share in the mean of all, ``apart`` the difference of each estimate from the others' mean, and
+    ``sigma`` the same in standard deviations (k,). ``chi_square`` of ``freedom`` degrees is exceeded by chance with
+    probability ``chance``. ``cause`` is the single cause that explains it, with the share lost and its standard
+    deviations.
     """
 
     name: str
@@ -107,13 +108,13 @@ class FlightVerdict:
     chance: float
     disagrees: bool
     cause: tuple[str, float, float] | None = None
-    of_part: str | None = None  # what is odd in a part of it alone
+    of_part: str | None = None  # the difference that only a part of the flight shows
     left_out: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
-    """How the flights of a fit go together; ``silent`` are those too short to say anything."""
+    """The comparison of all flights of a fit; ``silent`` are those too short for an estimate."""
 
     effects: tuple[ComparedEffect, ...]
     verdicts: tuple[FlightVerdict, ...]
@@ -134,7 +135,7 @@ class Agreement:
         return frozenset(verdict.name for verdict in self.verdicts if verdict.left_out)
 
     def details(self) -> list[str]:
-        """Return a line for each flight: how long it is, what it counts, how it goes with the others."""
+        """Return a line for each flight: its length, its weight, and how it compares with the others."""
         found = [
             f"{verdict.name}: {verdict.seconds:.0f} s, weight {100 * verdict.weight:.0f} %, "
             f"chi-square {verdict.chi_square:.1f} of {verdict.freedom}"
@@ -186,8 +187,8 @@ def agreement(
 ) -> Agreement:
     """Compare each flight with the others.
 
-    ``effects`` are what each flight estimates (k), ``causes`` what may be off alone; of a flight that says nothing
-    there is the name.
+    ``effects`` are the estimates of each flight (k), ``causes`` the actuators that may have failed alone; a flight
+    without estimates is given by its name.
     """
     speaking = [flight for flight in flights if isinstance(flight, FlightEffects)]
     silent = tuple(flight for flight in flights if isinstance(flight, str))
@@ -215,12 +216,12 @@ def agreement(
 def with_parts(
     whole: Agreement, flights: Sequence[FlightEffects | str], parts: Sequence[FlightEffects], causes: Sequence[Cause]
 ) -> Agreement:
-    """Return a comparison with what parts of the flights say of the first effects: a fault drowns in a flight's mean.
+    """Return a comparison that also considers parts of the flights: the mean of a flight hides a short fault.
 
-    Of parts only what is far off counts: their covariance is of few blocks.
+    Of parts only large differences count, since their covariance comes from few blocks.
 
-    ``flights`` are what they say as a whole, ``parts`` what parts of them say under the flights' names (k), ``causes``
-    what may be off alone, of these effects.
+    ``flights`` are the estimates of the whole flights, ``parts`` those of parts of them under the flights' names (k,
+    the first effects alone), ``causes`` the actuators that may have failed alone, for these effects.
     """
     if not parts:
         return whole
@@ -251,7 +252,7 @@ def _verdict(
     causes: Sequence[Cause],
     trials: int | None = None,
 ) -> FlightVerdict:
-    """Compare a flight with the others that are not left out; it is one of so many that may disagree by chance."""
+    """Compare a flight with the others that are not left out; ``trials`` of them may disagree by chance."""
     flight = flights[at]
     others = [flight for number, flight in enumerate(flights) if number != at and number not in left]
     values = np.array([other.values for other in others])
@@ -280,7 +281,7 @@ def _verdict(
 def _cause(
     apart: FloatArray, spread: FloatArray, chi_square: float, causes: Sequence[Cause]
 ) -> tuple[str, float, float] | None:
-    """Return the cause that explains best what is off, its share and sigma; None where none explains it."""
+    """Return the cause that explains the difference best, its share and sigma; None if none explains it."""
     best = None
     for cause in causes:
         weight = np.linalg.solve(spread, cause.direction)
@@ -301,7 +302,7 @@ def _is_far(verdict: FlightVerdict) -> bool:
 
 
 def _weights(flights: Sequence[FlightEffects], left: Collection[int], usual: FloatArray) -> list[float]:
-    """Return each flight's share in the mean of all that are not left out."""
+    """Return the share of each flight in the mean of all that are not left out."""
     kept = [number for number in range(len(flights)) if number not in left]
     values = np.array([flights[number].values for number in kept])
     variances = np.array([np.diag(flights[number].covariance) for number in kept])
@@ -313,7 +314,7 @@ def _weights(flights: Sequence[FlightEffects], left: Collection[int], usual: Flo
 
 
 def _scatter(values: FloatArray, variances: FloatArray, usual: FloatArray) -> FloatArray:
-    """Return the variance between flights of each estimate (k,): the usual one, and the moments of these flights."""
+    """Return the variance between flights of each estimate (k,) from the usual one and the moments of these flights."""
     count = len(values)
     if count < 2:
         return usual
@@ -334,7 +335,7 @@ def _chance(chi_square: float, freedom: int) -> float:
 def flight_effects(
     name: str, regressors: FloatArray, target: FloatArray, std: FloatArray, rate_hz: float
 ) -> FlightEffects | str:
-    """Estimate the effects in one flight by least squares; return its name where it is too short to tell.
+    """Estimate the effects in one flight by least squares; return its name if it is too short.
 
     Parameters
     ----------
@@ -343,7 +344,7 @@ def flight_effects(
     regressors : FloatArray
         What each coefficient adds to each output (N, n, k).
     target : FloatArray
-        What they have to add up to (N, n).
+        The sum of these contributions (N, n).
     std : FloatArray
         Error of each output (n,).
     rate_hz : float
@@ -359,6 +360,6 @@ def flight_effects(
     theta = inverse @ np.einsum("tok,to->k", X, t)
     scores = np.einsum("tok,to->tk", X, t - X @ theta)
     sums = np.stack([part.sum(axis=0) for part in np.array_split(scores, blocks)])
-    # errors within a block may be of any colour: White 1980, Arellano 1987
+    # errors within a block may be correlated: White 1980, Arellano 1987
     covariance = inverse @ (sums.T @ sums) @ inverse * blocks / (blocks - coefficients)
     return FlightEffects(name, len(target) / rate_hz, theta, covariance)

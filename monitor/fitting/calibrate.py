@@ -25,29 +25,32 @@ SETTLE_S = 1.0
 forget a wrong start within some tenths of a second (:func:`settling_s`); slower ones wait longer."""
 MARGIN = 2.0
 """Factor on the largest score that the best hypothesis left unexplained in healthy flight. Chosen: minutes of flight do
-not show the largest score of the hours to come; a fault that no hypothesis explains exceeds it many times."""
+not show the largest score of many hours; a fault that no hypothesis explains exceeds it many times."""
 LEVEL_SHARE = 1.5
-"""The level of the residuals is followed half as slowly again as evidence is averaged on the slow path: a fault cannot
-raise it before it is seen. At 100 Hz that is :data:`monitor.estimation.changes.LEVEL_S`."""
+"""Time constant of the level of the residuals relative to that of the slow path's mean, so that a fault
+cannot raise the level before it is detected. At 100 Hz it is :data:`monitor.estimation.changes.LEVEL_S`."""
 
 _SMOOTHING_S = 0.05
 """Smoothing of estimates and residuals before hypotheses are compared, seconds. Chosen: five samples of a 100 Hz
 observer, a third of the time that evidence has to last (``raise_s``)."""
 _LONGEST_SETTLE_S = 60.0
-"""A wait of more than a minute would leave short flights unwatched."""
+"""Longest wait, seconds: a wait of more than a minute would leave short flights unwatched."""
 _TOLERANCE = 0.2
 """Share of the worst hypothesis' score that model error may leave on the right one. Chosen: effects of motors are known
-within one or two per cent, gusts and manoeuvres add more; a larger share names two motors where one failed."""
+within one or two per cent, and gusts and manoeuvres add more; with a larger share two motors are named if one has
+failed."""
 _GAIN_PENALTY = 25.0
-"""By how much the mean J of an actuator that delivers more than commanded has to be smaller than that of the opposite
-one that delivers less: a score of five times. Motors fail towards less, so only plain evidence says otherwise."""
+"""Factor by which the mean J of an actuator that delivers more than commanded has to be smaller than that of the
+opposite one that delivers less: a score of five times. Motors usually fail towards less, so the opposite needs plain
+evidence."""
 _STARTS = 8
-"""Restarts tried in each recording, spread over it. Chosen: some fall into each kind of motion that is flown."""
+"""Number of restarts tried in each recording, spread over it. Chosen: some of them fall into each kind of motion that
+is flown."""
 _WRONG_START = 0.5
 """Share of the healthy deviation of an estimate that a wrong start may still add. Chosen: together they are 12 % more
-than healthy, less than a threshold is above what was seen."""
+than the healthy deviation, and thresholds lie further than that above healthy evidence."""
 _NOISE_SHARE = 0.1
-"""A residual that a sensor fault takes up altogether counts with a tenth of the noise: small enough to change no other
+"""Weight of a residual that a sensor fault absorbs completely, as a share of the noise: small enough to change no other
 residual, large enough that rounding does not decide."""
 
 
@@ -122,10 +125,10 @@ def healthy_maxima(profile: Profile, flights: Sequence[Flight], raise_s: float) 
 
 
 def measured_settling_s(observer: ObserverProfile, gate: GateRule, flights: Sequence[Flight]) -> float:
-    """Return how long after a restart in healthy motion the estimates still show that they began anew.
+    """Return how long after a restart in healthy motion a wrong start still shows in the estimates.
 
-    The observer starts afresh at some moments of each flight, and is compared with itself gone on: until the smoothed
-    estimates of all faults differ by less than half of their healthy deviation.
+    The observer restarts at some moments of each flight and is compared with the same observer that did not restart:
+    until the smoothed estimates of all faults differ by less than half of their healthy deviation.
     """
     rate_hz = observer.rate_hz
     longest = round(_LONGEST_SETTLE_S * rate_hz)
@@ -139,7 +142,7 @@ def measured_settling_s(observer: ObserverProfile, gate: GateRule, flights: Sequ
         for start in rows[:: max(1, len(rows) // _STARTS)]:
             again = _smoothed(observer, gate, flight.part(int(start), int(start) + longest))
             off = (np.abs(again - whole[start : start + len(again)]) > least).any(axis=1)
-            # what is off to the end of the flight was not seen to settle, and tells no time
+            # An estimate that is off until the flight ends has not been seen to settle, so it tells no time.
             slowest = max(slowest, int(np.flatnonzero(off)[-1]) + 1 if off.any() and not off[-1] else 0)
     return slowest / rate_hz
 

@@ -1,4 +1,7 @@
-"""What a profile will detect and how fast, as fits report it; :mod:`replay.sensitivity.capability` measures it."""
+"""The faults that a profile will detect and how fast, as fits report it.
+
+:mod:`replay.sensitivity.capability` measures it.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ class Detection:
     """How a fault of one size was detected."""
 
     size: float  # loss as a fraction of the command, or step in the channel's unit
-    # delay from onset to alarm over all onsets, seconds; None where an onset was missed
+    # delay from onset to alarm over all onsets, seconds; None if an onset was missed
     median_s: float | None
     worst_s: float | None
     only: bool  # whether that channel's alarm was the only one at every onset tried
@@ -20,16 +23,16 @@ class Detection:
 
 @dataclass(frozen=True, slots=True)
 class Capability:
-    """What will be detected of one fault channel."""
+    """The faults of one channel that will be detected."""
 
-    # the fault channel; its unit is empty where sizes are losses
+    # the fault channel; its unit is empty if sizes are losses
     channel: str
     unit: str
     loss: bool  # whether sizes are fractions of the command
-    # delay in seconds and the smallest size detected always, alone and within it; None where no size tried was
+    # delay in seconds, and the smallest size that is always detected within it and alone; None if no tried size was
     smallest: tuple[tuple[float, float | None], ...]
     largest: float  # largest size that could be tried
-    detections: tuple[Detection, ...]  # all sizes tried, ascending; empty where no healthy stretch is long enough
+    detections: tuple[Detection, ...]  # all sizes tried, ascending; empty if no healthy stretch is long enough
 
 
 def capability_text(capability: Capability) -> str:

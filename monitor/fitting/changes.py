@@ -1,4 +1,4 @@
-"""Noise that sudden changes are told from, fitted to healthy flights, and the nats that raise an alarm."""
+"""Fit the noise of the innovations to healthy flights, and the nats from which a sudden change raises an alarm."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ from monitor.fitting.flights import Flight
 from monitor.profile import FaultChannel
 
 _ORDER = 12
-"""Order of the autoregression. Theory 5.1 (1): of twelve, residuals that are correlated by .87 to .98 are white."""
+"""Order of the autoregression. Theory 5.1 (1): of order twelve, it whitens residuals whose correlation is .87 to
+.98."""
 _ROWS_A_COEFFICIENT = 20
-"""A coefficient's standard error falls with the root of the rows for each: 20 leave a quarter of the noise on it."""
+"""Rows for each coefficient of the regression. The standard error falls with the root of the rows: 20 leave a quarter
+of the noise on a coefficient."""
 _LEAST_NATS = 0.9 * CLIP**2
 """A row counts CLIP^2 / 2 nats at most: an alarm takes two of them, less the tenth that noise takes, or one damaged
 value would raise it. Measured on 35 flights of three simulators, 13 of them outside of the fits: what two rows and less
@@ -98,5 +100,5 @@ def _whitened(nu: NDArray[np.float64], whitening: NDArray[np.float64]) -> NDArra
 
 
 def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return values to six digits, as the profile holds them."""
+    """Return values rounded to six digits, as the profile stores them."""
     return np.array([float(f"{value:.6g}") for value in values.ravel()]).reshape(values.shape)

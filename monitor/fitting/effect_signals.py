@@ -1,4 +1,4 @@
-"""Which messages hold the raw signals of vehicles whose deflections act with speed, and how often they fill a grid."""
+"""Choose the messages with the raw signals of vehicles whose deflections act with speed, and the rate of their grid."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _ANGLES = {"roll": "roll", "pitch": "pitch", "yaw": "yaw"}
 _RATES = {"roll_rate": "rollspeed", "pitch_rate": "pitchspeed", "yaw_rate": "yawspeed"}
 _FORCES = {"forward_acceleration": "xacc", "lateral_acceleration": "yacc", "vertical_acceleration": "zacc"}
 EFFECT_MESSAGES = FlightPhase.interests | PARAMETER_MESSAGES | {MOTOR_MESSAGE, _ATTITUDE, *IMUS}
-"""Messages of attitude, acceleration and servo outputs, of what these drive, and of the phase of flight."""
+"""Messages of attitude, acceleration and servo outputs, of the actuators on them, and of the phase of flight."""
 _RATES_HZ = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
-"""Rates of the grid, hertz: those that autopilots are asked for, so that samples fall on messages."""
+"""Rates of the grid, hertz: the usual message rates of autopilots, so that samples fall on messages."""
 _NEARLY = 0.9
-"""A message counts as coming at a rate from 90 % of it on. Chosen: autopilots send a little less than they are asked
-for."""
+"""Share of a rate from which a message counts as sent at that rate. Chosen: autopilots send slightly less often than
+requested."""
 
 
 @dataclass(frozen=True, slots=True)
 class EffectSignals:
-    """Channels of a transform's raw signals, in its order, and how many samples a second they fill."""
+    """Channels of a transform's raw signals, in its order, and their samples per second."""
 
     channels: tuple[Channel, ...]
     rate_hz: float

@@ -1,4 +1,4 @@
-"""Calibrate how an actuator's fault estimate is read: noise, model error and delay, from healthy operation."""
+"""Calibrate the effectiveness rule of an actuator's fault estimates: noise, model error and delay."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ _SMALLEST_DOUBT = 0.02
 """Least standard deviation of a loss that model errors cause. Chosen: minutes of healthy flight do not prove an effect
 to be known better than 2 %; with the least certainty no loss below 10 % is then named."""
 _MARGIN = 1.5
-"""Of the largest healthy score. Chosen: flights to come may score half as much again as those that were fitted."""
+"""Factor on the largest healthy score. Chosen: other flights may score half as much again as those that were fitted."""
 _SMALLEST_CERTAINTY = 5.0
-"""Least number of standard errors. A normal error exceeds five once in 1.7 million independent looks."""
+"""Least certainty, in standard errors. A normal error exceeds five once in 1.7 million independent tests."""
 _SMALLEST_NOISE = 1e-9
-"""Keeps weights finite where a simulated actuator has no noise."""
+"""Least noise: keeps weights finite if a simulated actuator has no noise."""
 _STEP_S = 2.0
 """Length of the step response, seconds. Chosen: four times the half second in which a fault may develop fully."""
 _SWEEPS = 5
 """Rounds of fit and selection of quiet samples. Measured on coloured commands with noise: nothing changes after two."""
 _LEAST_QUIET = 0.3
-"""Least share of samples that the noise is measured on, however much the command moves."""
+"""Least share of samples that the noise is measured on, even if the command moves all the time."""
 _MISFIT_STEP_S = 2.0
-"""How often the misfit is looked at, seconds. Chosen: a tenth of the time over which it is known."""
+"""Time between looks at the misfit, seconds. Chosen: a tenth of the time over which it is averaged."""
 _OUTLIER = 3.0
-"""Residuals beyond three standard deviations are clipped: a gust is no statement about the correlation of noise."""
+"""Limit of a residual, in standard deviations: a gust tells nothing about the correlation of the noise."""
 
 
 class HealthyRun(NamedTuple):
@@ -49,9 +49,9 @@ class HealthyRun(NamedTuple):
 def calibrate_effectiveness(runs: Sequence[HealthyRun], rate_hz: float, rule: EffectivenessRule) -> EffectivenessRule:
     """Return the rule with noise, inflation, doubts and certainty as healthy operation shows them.
 
-    The observer had settled. The doubts are what the estimates scatter more than their noise allows, each weighted with
-    its information, and at least those of the given rule, for instance the standard error of the gain; the certainty is
-    the largest healthy score times ``_MARGIN``, and at least five standard errors.
+    The observer had settled. The doubts are the scatter of the estimates beyond their noise, each weighted with its
+    information, and at least those of the given rule, for instance the standard error of the gain; the certainty is the
+    largest healthy score times ``_MARGIN``, and at least five standard errors.
     """
     noise, inflation = _noise(runs, rate_hz, rule.timing_s)
     plain = replace(rule, noise=noise, inflation=inflation, loss_doubt=0.0, offset_doubt=0.0)
@@ -68,7 +68,7 @@ def calibrate_effectiveness(runs: Sequence[HealthyRun], rate_hz: float, rule: Ef
 
 
 def _misfit(runs: Sequence[HealthyRun], rate_hz: float, rule: EffectivenessRule) -> float:
-    """Return the largest mean square over 20 s of what loss and offset leave of f^, over noise^2."""
+    """Return the largest mean square over 20 s of the part of f^ that loss and offset do not explain, over noise^2."""
     largest, step = 1.0, round(_MISFIT_STEP_S * rate_hz)
     for run in runs:
         estimator = EffectivenessEstimator(replace(rule, misfit=1.0), rate_hz)
@@ -131,7 +131,7 @@ def _verdicts(
 
 
 def _excess(estimates: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> float:
-    """Return the scatter of estimates beyond their errors, the certain ones counting most."""
+    """Return the scatter of estimates beyond their errors; the certain ones count most."""
     value, error = (np.concatenate(parts) for parts in zip(*estimates, strict=True))
     value, error = value[error < inf], error[error < inf]
     weight = 1.0 / error**2

@@ -1,4 +1,4 @@
-"""How the errors of an observer's estimates grow with what excites them, from healthy flights."""
+"""Fit how the errors of an observer's estimates grow with the vehicle's motion, to healthy flights."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from monitor.profile import ObserverProfile
 from monitor.sampling.gate import GateRule
 
 _SWEEPS = 16
-"""Weighted fits of the variance. Measured on three vehicles: sixteen are within 1.1 % of forty in each coefficient, ten
-within 5 %."""
+"""Rounds of the weighted fit of the variance. Measured on three vehicles: sixteen are within 1.1 % of forty in each
+coefficient, ten within 5 %."""
 _LEAST_SHARE = 0.05
-"""Least variance that a weight assumes, as a share of the mean: keeps rows at rest from deciding all."""
+"""Least variance that a weight assumes, as a share of the mean: otherwise rows at rest decide alone."""
 
 
 def fit_excitation(

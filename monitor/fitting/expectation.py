@@ -1,4 +1,4 @@
-"""Observers that compare measurements with what a transform expects of them: their plant, design and alarms."""
+"""Fit observers that compare measurements with the values that a transform expects: plant, design and alarms."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule, make_transform
 
 _LEAST_S = 20.0
-"""Evidence that is needed, seconds, as of the motors observer."""
+"""Evidence that a fit needs, seconds, as for the motors observer."""
 
 
 class Expectation(NamedTuple):
-    """A measurement that is compared with what is expected of it."""
+    """A measurement that is compared with its expected value."""
 
     measured: str  # its name among the outputs
-    left: float  # its standard deviation from what is expected
+    left: float  # its standard deviation from the expected value
     fault: str  # channel of the fault that it shows
     unit: str
-    smallest: float  # size that is worth an alarm
+    smallest: float  # smallest size that is worth an alarm
     critical: float
-    rate: float  # units per second by which the fault may grow
-    input: str | None = None  # input that the fault is a share of; None: it has a size of its own
+    rate: float  # rate at which the fault may grow, units per second
+    input: str | None = None  # input that the fault is a share of; None: its size is absolute
 
 
 def check_length(rows: int, rate_hz: float, what: str) -> None:
-    """Raise ModelError where there is too little healthy flight with ``what`` to learn what is expected."""
+    """Raise ModelError if there is too little healthy flight with ``what`` to learn the expected values."""
     if rows < _LEAST_S * rate_hz:
         raise ModelError(f"only {rows / rate_hz:.0f} s of flight with {what}; {_LEAST_S:.0f} s are needed")
 
@@ -57,11 +57,11 @@ def fit_expectations(
     alarms_per_hour: float | None = None,
     design: Callable[[Plant], Design] = design_blocks,
 ) -> Fitted:
-    """Design the observer of a vehicle behind a transform, on healthy flights of raw signals, and calibrate its alarms.
+    """Design the observer of a vehicle behind a transform on healthy flights of raw signals, and calibrate its alarms.
 
-    It has the name of the transform's kind. Channels of one unit share a level: what one has not seen in healthy flight
-    another has. ``times`` say how long evidence has to last, ``B`` is that of :func:`expectation_plant`.
-    ``alarms_per_hour`` are the false alarms of each channel: None shares the observer's.
+    It has the name of the transform's kind. Channels of one unit share a level: one may have shown in healthy flight
+    what another has not. ``times`` is how long evidence has to last, ``B`` as in :func:`expectation_plant`.
+    ``alarms_per_hour`` is the rate of false alarms of each channel; None: the channels share the observer's.
     """
     rule = source.transform or TransformRule("", rate_hz)
     flights = [transformed(flight, make_transform(rule, rate_hz)) for flight in raw]
@@ -89,10 +89,10 @@ def expectation_plant(
     expectations: Sequence[Expectation],
     B: FloatArray | None = None,
 ) -> Plant:
-    """Return the plant behind a transform: a state is what a tick lets expect, an output what it measured.
+    """Return the plant behind a transform: a state is the value expected at a tick, an output the measured one.
 
     It has no dynamics, and every fault shows in a measurement of its own, so that all are estimated at once. Each input
-    is what is expected of one measurement where ``B`` (n, s) says nothing else.
+    is the expected value of one measurement, unless ``B`` (n, s) is given.
     """
     identity = np.eye(len(expectations))
     columns = list(zip(expectations, identity, strict=True))

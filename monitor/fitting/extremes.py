@@ -32,23 +32,26 @@ from numpy.typing import NDArray
 from monitor.core.alarms import standing_rungs
 
 SEPARATION_S = 2.0
-"""Peaks within two seconds are one gust or manoeuvre; alarms that close are one to an operator."""
+"""Least time between peaks, seconds. Peaks within two seconds are one gust or manoeuvre, and one alarm to an
+operator."""
 SHAPE_LIMITS = (-0.25, 0.3)
 """Smallest and largest xi: a tail that is bounded at 4 sigma above the limit, and one without a fourth moment."""
 
 _SHAPE_STD = 0.15
 """Standard deviation of the prior of xi. Chosen: half of the limits, so that data can reach them."""
 _SHARE = 0.5
-"""Share of the peaks taken as tail. Chosen: of minutes of flight fewer would leave too little to fit."""
+"""Share of the peaks taken as the tail. Chosen: with a smaller share, minutes of flight would leave too few to fit."""
 _FEWEST_PEAKS = 10
-"""The standard error of the scale of ten peaks is a third of it; fewer say nothing."""
+"""Least number of peaks in the tail. The standard error of the scale is a third of it for ten peaks; fewer are
+useless."""
 _SCALE_LIMITS = (1.0 / 3.0, 3.0)
-"""sigma within a factor of three of the mean excess: three standard errors of ten peaks above it, and as far below."""
+"""Factor by which sigma may differ from the mean excess: three standard errors of ten peaks above it, and as far
+below."""
 _GRID = (44, 60)
 """Points of xi and of sigma. Measured on twelve random series: twice as many of both move the level by 0.2 % at
 most."""
 _FINEST = 0.01
-"""A statistic below a hundredth of its largest value decides no threshold."""
+"""Share of the largest value below which a statistic decides no threshold."""
 _RUNGS = 480
 """Sizes per two decades: 1 % apart, the rounding that :func:`standing` states."""
 
@@ -66,7 +69,7 @@ class Tail:
     weights: NDArray[np.float64]
 
     def per_hour(self, size: float) -> float:
-        """Return how often an hour peaks exceed a size: as seen up to the limit u, the posterior's mean beyond it."""
+        """Return how often an hour peaks exceed a size: as counted up to the limit u, the posterior's mean above it."""
         if size < self.limit:
             return float((self.peaks >= size).sum()) / self.hours
         inside = np.maximum(1.0 + self.xi * (size - self.limit) / self.sigma, 0.0)
@@ -79,13 +82,13 @@ class Tail:
 class ReturnLevel:
     """The level that is exceeded at a stated rate."""
 
-    level: float  # best estimate, in units of the statistic; never below the largest value seen
-    # limits that hold the level with the stated confidence, as the fit alone sees it
+    level: float  # best estimate, in units of the statistic; never below the largest value of the series
+    # limits that hold the level with the stated confidence, by the fit alone
     low: float
     high: float
     hours: float  # length of the series
     peaks: int  # number of peaks the tail was fitted to
-    tail: Tail | None = field(default=None, repr=False, compare=False)  # None where there was no peak
+    tail: Tail | None = field(default=None, repr=False, compare=False)  # None if there was no peak
 
     def per_hour(self, size: float) -> float:
         """Return how often an hour the statistic is expected to exceed a size."""
@@ -150,7 +153,7 @@ def local_peaks(values: NDArray[np.float64], rate_hz: float) -> NDArray[np.float
     reach = max(1, round(SEPARATION_S * rate_hz))
     around = maximum_filter1d(values, 2 * reach + 1, mode="nearest")
     at = np.flatnonzero(values == around)
-    apart = np.diff(at, prepend=-reach - 1) > reach  # of equal samples next to each other the first one counts
+    apart = np.diff(at, prepend=-reach - 1) > reach  # Of equal neighbouring samples the first one counts.
     return values[at[apart]]
 
 

@@ -1,8 +1,8 @@
-"""Fit the observer of a vehicle whose deflections act with speed: model, gains, how its estimates are to be read.
+"""Fit the observer of a vehicle whose deflections act with speed: model, gains, and the reading of its estimates.
 
-The raw signals of a log are sampled once. A transform that knows no more than the speeds gives what the model is
-identified from; with the timing and curves found it then gives what the observer sees in operation, on which the
-reading of its estimates is calibrated.
+The raw signals of a log are sampled once. A transform that knows only the speeds gives the signals from which the model
+is identified. With the timing and curves found, the transform then gives the signals of the observer in operation, on
+which the reading of its estimates is calibrated.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import LiftRule, SampleSource, TransformRule, make_transform
 
 SHOWN_S = 20.0
-"""Seconds drawn: as many as show single manoeuvres over the width of a page."""
+"""Length of the drawn comparison, seconds. Chosen: single manoeuvres are visible over the width of a page."""
 
 
 def compare_effects(
@@ -71,28 +71,29 @@ def compare_effects(
 _OBSERVER_HZ = 50.0
 """Fastest rate of the observer, hertz. Chosen: servos and vehicles answer within 50 ms and more."""
 _MOVING = 0.1
-"""Share of the usual top speed below which a vehicle stands or taxis, and tells nothing about its speed."""
+"""Share of the usual top speed below which a vehicle stands or taxis, so that the sample does not count for its
+speed."""
 _SMOOTHING_S = 0.05
-"""Smoothing of estimates that are shown, seconds; their reading has memories of its own."""
+"""Smoothing of estimates that are shown, seconds; the effectiveness rule has memories of its own."""
 _LEAST_RUN_S = 1.0
-"""Shorter stretches of evidence, after settling, hold fewer than ten independent samples."""
+"""Shortest stretch of evidence after settling, seconds: a shorter one holds fewer than ten independent samples."""
 _ORDINARY_RATE, _ORDINARY_ACCELERATION = radians(60.0), 5.0
-"""Rates (rad/s) and accelerations (m/s2) of ordinary motion: errors of a calm drive straight on are noise, and do not
-grow in proportion to its turns. Chosen: as for the sensors' observer, and half of what brakes and tyres can do."""
-# Evidence is exactly zero where nothing is certain, so any size tells.
+"""Rates (rad/s) and accelerations (m/s2) of ordinary motion: the errors of a calm drive straight on are noise, and do
+not grow in proportion to the turns. Chosen: as for the sensors' observer, and half of what brakes and tyres allow."""
+# Evidence is exactly zero unless a fault is certain, so any size counts.
 _SCATTER = 0.03
 """Least scatter between recordings of an actuator's effect. Chosen: speed and air, by which deflections are scaled, are
 known within some per cent."""
 _THRESHOLD, _CLEAR, _CRITICAL = 0.001, 0.0005, 0.25
 _RAISE_S, _CLEAR_S = 0.15, 0.3
 _EXCUSED_S = 30.0
-"""How long after its end a sensor's fault explains what it made of actuators, seconds: rates and velocities are less
-what the autopilot's estimator has learned meanwhile, and it unlearns that in half a minute."""
+"""Time after the end of a sensor's fault for which it explains evidence of actuators, seconds: the autopilot's
+estimator has learned a bias from it, subtracts that from rates and velocities, and unlearns it in half a minute."""
 
 
 @dataclass(frozen=True, slots=True)
 class EffectKind:
-    """What differs between vehicles of this sort."""
+    """The differences between the kinds of vehicles that this fit serves."""
 
     observer: str  # name of the observer, and of its transform
     slowest: float  # speed below which samples are no evidence, as a share of the reference speed
@@ -101,22 +102,22 @@ class EffectKind:
     full: Mapping[str, str]
     # from segments, rate and input names to the fit
     identify: Callable[[Sequence[Segment], float, Sequence[str]], AxesFit]
-    # channels of sensors that it measures the vehicle's motion with: their faults look like those of actuators
+    # channels of sensors that measure the vehicle's motion: their faults look like those of actuators
     sensors: tuple[str, ...]
 
 
 def fit_effects(
     kind: EffectKind, request: FitRequest, signals: EffectSignals, gate: GateRule
 ) -> tuple[Fitted, GateRule]:
-    """Identify, design and calibrate; return the observer, and the gate as it is given.
+    """Identify, design and calibrate; return the observer, and the given gate.
 
     Raises
     ------
     TelemetryError, ModelError, InfeasibleError
-        The recordings do not hold what is needed, excite no axis, or allow no certified design.
+        The recordings lack a message that is needed, excite no axis, or allow no certified design.
     """
     rate_hz = request.fraction_hz(signals.rate_hz, min(signals.rate_hz, _OBSERVER_HZ))
-    # Hovering and in transitions of a vehicle with rotors, too, surfaces are not what turns it.
+    # Surfaces are not what turns a vehicle with rotors while it hovers or makes a transition.
     lift = LiftRule("wings") if any(survey.is_vtol for survey in request.surveys) else None
     source = SampleSource(inputs=signals.channels, lift=lift)
     raw = [flight_samples(log(), source, signals.rate_hz, gate, commands=False) for log in request.logs]
@@ -194,7 +195,7 @@ def _reference_speed(kind: EffectKind, raw: Sequence[Flight]) -> float:
 def _reading(
     kind: EffectKind, fit: AxesFit, plant: Plant, gains: Gains, flights: Sequence[Flight]
 ) -> dict[str, EffectivenessRule]:
-    """Return how each fault's estimate is read."""
+    """Return the effectiveness rule of each fault."""
     runs = [run for flight in flights for run in _observed(gains, flight)]
     doubts = {axis.model.actuator: 1.0 / axis.t_value for axis in fit.axes}
     rules = {}
@@ -225,9 +226,9 @@ def _reading(
 
 
 def _reached(gains: Gains, flights: Sequence[Flight]) -> dict[str, float]:
-    """Return the largest sizes of inputs and outputs in healthy flight, of outputs those of ordinary motion at least.
+    """Return the largest sizes of inputs and outputs in healthy flight; of outputs at least those of ordinary motion.
 
-    An input that never moved is left out: what it does is not known to be wrong.
+    An input that never moved is left out: nothing shows that the model of its effect is wrong.
     """
     found = {}
     for names, column in ((gains.inputs, "u"), (gains.outputs, "y")):
@@ -240,7 +241,7 @@ def _reached(gains: Gains, flights: Sequence[Flight]) -> dict[str, float]:
 
 
 def _observed(gains: Gains, flight: Flight) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return fault estimates and inputs of each healthy stretch, the observer settled."""
+    """Return fault estimates and inputs of each healthy stretch, with the observer settled."""
     samples = flight.samples
     estimates = AffineObserver([gains]).run(samples.u, samples.y, restart=samples.restart).fault
     settle, least = round(SETTLE_S * gains.rate_hz), round((SETTLE_S + _LEAST_RUN_S) * gains.rate_hz)
@@ -254,7 +255,7 @@ def _observed(gains: Gains, flight: Flight) -> list[tuple[NDArray[np.float64], N
 def _agreement(
     plant: Plant, actuators: Sequence[str], names: Sequence[str], flights: Sequence[Sequence[Segment]]
 ) -> Agreement:
-    """Compare the share of its pooled effect that each actuator has in a recording with that in the others.
+    """Compare, for each actuator, the share of its pooled effect that each recording shows.
 
     Offsets of the outputs are each recording's own.
     """

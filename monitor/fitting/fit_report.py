@@ -1,4 +1,4 @@
-"""What a fit is worth, for any kind of vehicle: prediction against measurement, residuals, as text and as one PNG."""
+"""The quality of a fit for any kind of vehicle: prediction against measurement, residuals, as text and as one PNG."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ HORIZON_S = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """A stretch of data that the fit did not see, and what the model says about it."""
+    """A stretch of data that was kept out of the fit, and the model's prediction of it."""
 
     names: tuple[str, ...]  # names of the outputs (p,)
     times: NDArray[np.float64]  # seconds (N,)
-    # (N, p); NaN breaks the lines. The residuals are those the statistics are about: they may be one-step errors while
-    # the prediction is a simulation.
+    # (N, p); NaN breaks the lines. The residuals are those of the statistics: they may be one-step errors while the
+    # prediction is a simulation.
     measured: NDArray[np.float64]
     predicted: NDArray[np.float64]
     residuals: NDArray[np.float64]
-    explained: dict[str, NDArray[np.float64]]  # by what explains: share explained of each output (p,)
+    explained: dict[str, NDArray[np.float64]]  # by explanation: share explained of each output (p,)
     statistics: tuple[ResidualStatistics, ...]  # statistics of each output's residual
-    about: str = "prediction against measurement, data kept back"  # what is compared, for the title
-    units: tuple[str, ...] = ()  # units of the outputs (p,); empty where the model does not say
+    about: str = "prediction against measurement, data kept back"  # kind of the comparison, for the title
+    units: tuple[str, ...] = ()  # units of the outputs (p,); empty if the model does not state them
 
 
 def parameter_lines(verdicts: Sequence[ExcitationVerdict]) -> list[str]:
-    """Return one line for each parameter: value, standard error, and what is wrong with it."""
+    """Return one line for each parameter: value, standard error, and any doubt about it."""
     width = max((len(verdict.name) for verdict in verdicts), default=0)
     lines = []
     for verdict in verdicts:
@@ -57,7 +57,7 @@ def parameter_lines(verdicts: Sequence[ExcitationVerdict]) -> list[str]:
 
 
 def comparison_lines(comparison: Comparison) -> list[str]:
-    """Return one line for each output: shares explained, and what its residual looks like."""
+    """Return one line for each output: shares explained, and the statistics of its residual."""
     width = max(len(name) for name in comparison.names)
     lines = []
     for i, (name, statistics) in enumerate(zip(comparison.names, comparison.statistics, strict=True)):
@@ -114,7 +114,7 @@ def _draw_series(figure: Any, grid: GridSpec, comparison: Comparison, i: int, sh
     [line] = lower.plot(comparison.times, comparison.residuals[:, i], color=LIGHT.residual, linewidth=0.6)
     line.set_label("residual" if i == 0 else "")
     lower.axhline(0.0, color=GREY, linewidth=0.5)
-    # in the same unit; a short one has room
+    # in the same unit; the short name fits
     lower.set_ylabel(f"residual\n({unit})" if comparison.units else "residual")
     lower.locator_params(axis="y", nbins=3)
     return upper, lower
@@ -156,7 +156,7 @@ LinearModel = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64
 
 
 def predict_ahead(model: LinearModel, segment: Segment, steps: int) -> Prediction:
-    """Return outputs when a prediction was made, ``steps`` samples later, and as predicted (N - steps, p) each."""
+    """Return outputs at the time of the prediction, ``steps`` samples later, and as predicted (N - steps, p) each."""
     A, B, c = model
     x = segment.y[:-steps]
     for step in range(steps):
@@ -165,7 +165,7 @@ def predict_ahead(model: LinearModel, segment: Segment, steps: int) -> Predictio
 
 
 def explained_change(predictions: Sequence[Prediction]) -> NDArray[np.float64]:
-    """Return the share of the outputs' changes over the predictions' horizon that these explain (p,)."""
+    """Return the share of the outputs' changes over the prediction horizon that the predictions explain (p,)."""
     missed = np.vstack([prediction.measured - prediction.predicted for prediction in predictions])
     change = np.vstack([prediction.measured - prediction.before for prediction in predictions])
     return np.asarray(1.0 - (missed**2).mean(axis=0) / np.maximum((change**2).mean(axis=0), 1e-300))
@@ -176,9 +176,9 @@ def compared(
 ) -> Comparison | None:
     """Return the liveliest seconds of the longest prediction, and statistics of all of them.
 
-    The ``names`` are those of the outputs (p,), ``what`` is predicted, for the title. Predictions are made over
-    ``segments`` that are a second longer than the horizon, one sample and :data:`HORIZON_S`, two samples at least,
-    ahead; None where there is none. ``shown_s`` are drawn.
+    The ``names`` are those of the outputs (p,), ``what`` is what is predicted, for the title. Predictions are made over
+    ``segments`` that are a second longer than the horizon, one sample and :data:`HORIZON_S` (at least two samples)
+    ahead; None if there is none. ``shown_s`` are drawn.
     """
     horizon = max(2, round(HORIZON_S * rate_hz))
     usable = [segment for segment in segments if len(segment.u) > horizon + rate_hz]

@@ -1,4 +1,4 @@
-"""One fitted observer: model, gains, where its samples come from, calibrated alarms, and what was found on the way."""
+"""One fitted observer: model, gains, source of its samples, calibrated alarms, and the findings of the fit."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from monitor.fitting.thresholds import Calibrated, Times, calibrated, healthy_le
 from monitor.profile import UNEXPLAINED, ObserverProfile, ObserverSetup, fault_channels, observer_table
 
 BatchSource = Callable[[], Iterable[Batch]]
-"""A recording; each call goes through it once from its start."""
+"""A recording; each call reads it once from its start."""
 
 _KEPT_BYTES = 1 << 29
-"""Memory for what of recordings is kept from one time that a fit goes through them to the next. Chosen: 512 MB, some
-fifty flights of four minutes at 100 Hz; longer ones are read again."""
+"""Memory for the parts of recordings that are kept between the passes of a fit. Chosen: 512 MB, some fifty flights of
+four minutes at 100 Hz; longer ones are read again."""
 
 
 def kept_logs(logs: Sequence[BatchSource]) -> list[BatchSource]:
-    """Return recordings that are read once where they fit into memory; each has to be gone through to its end."""
+    """Return recordings that are read only once if they fit into memory; each pass has to read to the end."""
     room = [_KEPT_BYTES]
 
     def kept(log: BatchSource) -> BatchSource:
@@ -63,19 +63,19 @@ def kept_logs(logs: Sequence[BatchSource]) -> list[BatchSource]:
 
 
 _UNEXPLAINED = Times(fast_s=2.0, raise_s=2.0, clear_s=0.5)
-"""A push or a collision is over sooner, two faults at once are not."""
+"""Times of the unexplained alarm: a push or a collision is over sooner, two faults at once are not."""
 
 
 @dataclass(frozen=True, slots=True)
 class FitRequest:
-    """What a kind of vehicle is fitted from."""
+    """The inputs of a vehicle's fit, for any kind of vehicle."""
 
     name: str  # name of the vehicle and its models
     logs: Sequence[BatchSource]  # healthy recordings
-    surveys: Sequence[Survey] = ()  # what each of them holds; empty for a kind that needs a model
+    surveys: Sequence[Survey] = ()  # contents of each recording; empty for a kind that needs a model
     model: Path | None = None  # model file with free parameters, of a kind that needs one
-    log_names: Sequence[str] = ()  # what the recordings are called
-    rate_hz: float | None = None  # samples per second of the observer; None: as the messages come
+    log_names: Sequence[str] = ()  # names of the recordings
+    rate_hz: float | None = None  # samples per second of the observer; None: the rate of the messages
 
     def without(self, names: Collection[str]) -> FitRequest:
         """Return the request without some of its recordings."""
@@ -105,7 +105,7 @@ class FitRequest:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the recordings are called; by their numbers where nobody says."""
+        """The names of the recordings; their numbers if they have none."""
         return tuple(self.log_names) or tuple(f"recording {number}" for number in range(1, len(self.logs) + 1))
 
 
@@ -116,13 +116,13 @@ class Fitted(ObserverSetup):
     plant: Plant  # the identified model
     alarms: tuple[Calibrated, ...] = ()  # calibrated alarm rules
     flight_s: float = 0.0  # healthy flight it was fitted on, seconds
-    findings: Mapping[str, Any] = field(default_factory=dict)  # what the identification found, for ``fit.json``
+    findings: Mapping[str, Any] = field(default_factory=dict)  # findings of the identification, for ``fit.json``
     lines: tuple[str, ...] = ()  # the same for people
-    details: tuple[str, ...] = ()  # more for people, for ``fit.txt`` alone
+    details: tuple[str, ...] = ()  # further lines for people, for ``fit.txt`` alone
     comparison: Comparison | None = None  # prediction against measurement on data kept back, for ``fit.png``
     measured: bool = False  # whether to measure on the recordings what will be detected
-    capability: tuple[Capability, ...] = ()  # what will be detected, and how fast
-    excuses: tuple[ExcuseRule, ...] = ()  # which of its alarms explain evidence of which others
+    capability: tuple[Capability, ...] = ()  # the faults that will be detected, and how fast
+    excuses: tuple[ExcuseRule, ...] = ()  # which of its alarms explain evidence of which other channels
     agreement: Agreement | None = None  # which flights disagree
 
     @property

@@ -42,7 +42,7 @@ class Flight:
         return self.rows(np.arange(start, min(stop, len(self))))
 
     def rows(self, rows: NDArray[np.intp]) -> Flight:
-        """Return some of the samples, ascending; the observer restarts wherever one before it is left out."""
+        """Return some of the samples, ascending; the observer restarts after each sample that is left out."""
         samples = self.samples.rows(rows)
         restart = samples.restart.copy()
         restart[:1] = True
@@ -50,7 +50,7 @@ class Flight:
         return Flight(replace(samples, restart=restart), self.armed[rows])
 
     def segments(self, bridged: int = 1) -> list[Segment]:
-        """Return the stretches of evidence; those up to ``bridged`` rows apart as one with a break in it."""
+        """Return the stretches of evidence; two at most ``bridged`` rows apart count as one with a break in it."""
         return [
             Segment(self.samples.u[rows], self.samples.y[rows], None if bridged == 1 else self.armed[rows])
             for rows in self.stretches(at_restart=True, bridged=bridged)
@@ -70,7 +70,7 @@ class Flight:
 def part_of(batches: Iterable[Batch], start_s: float, end_s: float | None, name: str) -> Iterator[Batch]:
     """Yield the messages of a recording from ``start_s`` to ``end_s`` seconds after its first one arrived.
 
-    What tells the phase of flight, and which vehicle it is, comes along from before.
+    Earlier messages that tell the phase of flight, or which vehicle it is, are included.
 
     Raises
     ------
@@ -128,7 +128,10 @@ def flight_samples(
 def raw_flights(
     logs: Iterable[Callable[[], Iterable[Batch]]], channels: Sequence[Channel], rate_hz: float, gate: GateRule
 ) -> list[Flight]:
-    """Return raw signals of recordings for a transform; as in a transform's observer they are no commands of flight."""
+    """Return raw signals of recordings for a transform.
+
+    As in a transform's observer they count as no commands of flight.
+    """
     source = SampleSource(inputs=tuple(channels))
     return [flight_samples(log(), source, rate_hz, gate, commands=False) for log in logs]
 
@@ -154,7 +157,7 @@ def _by_phase(batches: Iterable[Batch]) -> Iterator[tuple[Batch, FlightPhase]]:
 
 
 def _matters(phase: FlightPhase) -> tuple[object, ...]:
-    """Return what decides which samples are evidence of a flight that is known to be healthy."""
+    """Return the gate that decides which samples are evidence, for a flight that is known to be healthy."""
     return phase.armed, phase.landed, phase.airborne, phase.near_home, phase.carried
 
 

@@ -1,7 +1,7 @@
-"""What a profile keeps of the flights it was fitted to, so that one can be added without the recordings of the others.
+"""The flights that a profile stores, so that one can be added without the recordings of the others.
 
 PROFILE/flights/fit.json       kind, rate, and the flights in order: file, name, span of arrival, number of messages
-PROFILE/flights/fitted.toml    profile.toml as the fit wrote it: what differs from it a person has edited
+PROFILE/flights/fitted.toml    profile.toml as the fit wrote it: differences from it are a person's edits
 PROFILE/flights/NNNN.npz       one flight: the messages that the observers and the phase of flight come from, as columns
 """
 
@@ -32,20 +32,21 @@ from monitor.fitting.fitted import BatchSource
 
 FOLDER, FITTED, MODEL = "flights", "fitted.toml", "model.toml"
 _LIST, _FORMAT = "fit.json", 1
-"""The list of flights, and the number of its layout: a reader refuses what it does not know."""
+"""The list of flights, and the version of its layout: a reader refuses any other version."""
 _MOST_BYTES = 128_000_000
-"""Size of all kept flights together. Chosen: 40 to 80 flights of four minutes at 100 Hz; the oldest go first."""
+"""Largest size of all kept flights together. Chosen: 40 to 80 flights of four minutes at 100 Hz; the oldest are deleted
+first."""
 _FILE = re.compile(r"\d{4,9}\.npz")
 _ABOUT = "about"
 _ANEW = "fit the profile anew to all its logs"
 _CALIBRATED = ("isolation", "effectiveness", "transform", "sees", *MEASURED)
-"""Keys of profile.toml that a fit measures anew whatever they were."""
+"""Keys of profile.toml that a fit always measures anew."""
 
 
 class Extent(NamedTuple):
-    """What tells recordings apart.
+    """The identity of a recording.
 
-    When the first and the last message arrived, Unix nanoseconds, how many there are, and a checksum of the last
+    When the first and the last message arrived, Unix nanoseconds, the number of messages, and a checksum of the last
     message of each name.
     """
 
@@ -79,7 +80,7 @@ class KeptFlight:
 
     @classmethod
     def of_json(cls, listed: Mapping[str, Any]) -> KeptFlight:
-        """Read one of the list."""
+        """Read a flight of the list."""
         span = Extent(*map(int, listed["span"]))
         kept = cls(listed["file"], str(listed["name"]), span, int(listed["bytes"]), listed["sha256"])
         if not _FILE.fullmatch(kept.file):
@@ -87,7 +88,7 @@ class KeptFlight:
         return kept
 
     def to_json(self) -> dict[str, Any]:
-        """Return what the list holds of it."""
+        """Return the flight's entry in the list."""
         return {
             "file": self.file,
             "name": self.name,
@@ -99,9 +100,9 @@ class KeptFlight:
 
 @dataclass(frozen=True, slots=True)
 class KeptFit:
-    """What a profile keeps of its fit.
+    """The stored inputs of a profile's fit.
 
-    ``rate_hz`` is what was asked for, ``written`` profile.toml as the fit wrote it.
+    ``rate_hz`` is the rate that was asked for, ``written`` profile.toml as written.
     """
 
     rate_hz: float | None
@@ -110,12 +111,12 @@ class KeptFit:
 
 
 def read_kept(folder: Path) -> KeptFit:
-    """Read what a profile keeps of its fit.
+    """Read what a profile stores of its fit.
 
     Raises
     ------
     ProfileError
-        It keeps nothing, or that cannot be read.
+        It stores nothing, or its files cannot be read.
     """
     path = folder / FOLDER / _LIST
     try:
@@ -137,13 +138,13 @@ def read_kept(folder: Path) -> KeptFit:
 
 
 def kept_model(folder: Path) -> Path | None:
-    """Return the model file with free parameters that a profile keeps; None where its kind needs none."""
+    """Return the stored model file with free parameters; None if the kind needs none."""
     path = folder / FOLDER / MODEL
     return path if path.is_file() else None
 
 
 def extent_of(log: BatchSource) -> Extent:
-    """Go through a recording for its span."""
+    """Read a whole recording for its identity."""
     first_ns = last_ns = count = 0
     last: dict[tuple[str, int, int], Message] = {}
     for batch in log():
@@ -168,11 +169,11 @@ def write_kept(
     names: Collection[str],
     source: Path | None = None,
 ) -> tuple[str, ...]:
-    """Write what a profile keeps of its fit; return the names of flights for which there was no room.
+    """Write the inputs of a profile's fit into its folder; return the names of flights for which there was no room.
 
-    ``content`` is profile.toml as the fit found it, without edits of before, ``rate_hz`` the rate that was asked for.
-    ``known`` are flights that ``source`` keeps already, None: the folder itself; ``added`` further flights with their
-    spans and messages, of which those of these ``names`` are kept.
+    ``content`` is profile.toml as the fit found it, without earlier edits, ``rate_hz`` the rate that was asked for.
+    ``known`` are flights that ``source`` (None: the folder itself) stores already; ``added`` are further flights with
+    their spans and messages, of which only the messages of these ``names`` are stored.
     """
     place = folder / FOLDER
     place.mkdir(parents=True, exist_ok=True)
@@ -200,7 +201,7 @@ def write_kept(
 
 
 _OF_MESSAGE = ("name", "received_ns", "fields", "system", "component")
-"""What is kept of a message, but for its source, in the order of its fields."""
+"""Fields of a message that are stored, all but its source, in their order."""
 
 
 def _flight_file(batch: Batch) -> bytes:
@@ -245,10 +246,10 @@ def _batch(arrays: Mapping[str, Any]) -> Batch:
 def with_edits(
     fitted: Mapping[str, Any], written: Mapping[str, Any], edited: Mapping[str, Any], path: str = ""
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return a profile's table as newly fitted, with what a person had edited in the one before; and where.
+    """Return a profile's newly fitted table with a person's edits of the one before, and the list of these edits.
 
-    ``written`` is the table as the fit before wrote it, ``edited`` as it is now; ``path`` is where it stands, for the
-    list of edits.
+    ``written`` is the table as the fit before wrote it, ``edited`` as it is now; ``path`` is the table's name in the
+    list.
     """
     found, edits = dict(fitted), list[str]()
     for key in {**written, **edited}:
@@ -265,7 +266,7 @@ def with_edits(
         else:
             found[key] = edited[key]
             edits.append(place)
-    # a threshold that was lowered by hand lies below what was fitted to clear it
+    # a threshold that a person lowered may lie below the fitted size that clears the alarm
     if isinstance(found.get("clear"), float) and found["clear"] > found.get("threshold", found["clear"]):
         found["clear"] = found["threshold"] / 2.0
     return found, edits

@@ -1,8 +1,8 @@
-"""Which servo output drives what, by the functions that an autopilot's parameters give its outputs.
+"""Find the actuator of each servo output, by the functions that an autopilot's parameters give its outputs.
 
-ArduPilot gives output n ``SERVOn_FUNCTION``. PX4 gives those of each driver ``PWM_MAIN_FUNCn`` and the like: 101 is its
-first motor, 201 the first servo, which ``CA_SV_CS0_TYPE`` says is what surface. Of several drivers the one that drives
-most of what is asked for counts, as a log's outputs are those of the one that moves most.
+ArduPilot gives output n ``SERVOn_FUNCTION``. PX4 gives the outputs of each driver ``PWM_MAIN_FUNCn`` and the like: 101
+is its first motor, 201 the first servo, whose surface ``CA_SV_CS0_TYPE`` states. Of several drivers the one that drives
+most of the requested actuators counts, since a log's outputs are those of the driver that moves most.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from adapters.errors import TelemetryError
 from monitor.fitting.survey import MAX_OUTPUTS, MOTOR_MESSAGE, Survey
 
 MOTOR, SERVO = 101, 201
-"""PX4's functions of its first motor and first servo."""
+"""PX4's function numbers of its first motor and first servo."""
 _DRIVERS = ("PWM_MAIN_FUNC", "PWM_AUX_FUNC", "HIL_ACT_FUNC", "SIM_GZ_SV_FUNC")
 _ROTORS, _SURFACES = 12, 8
 """``CA_ROTOR0`` to ``CA_ROTOR11`` and ``CA_SV_CS0`` to ``CA_SV_CS7``: as many as PX4's control allocation has."""
@@ -26,22 +26,23 @@ _AIRFRAMES: Mapping[float, tuple[tuple[int, ...], tuple[int, ...]]] = {
     2100: ((15, 3, 4), (201, 202, 101, 203)),  # the standard plane
 }
 """By SYS_AUTOSTART, kinds of the surfaces and functions of the main outputs that PX4's airframes begin with: unless it
-is asked, PX4 sends over a link what was changed since, and SYS_AUTOSTART."""
+is asked for more, PX4 sends over a link only the parameters that were changed since, and SYS_AUTOSTART."""
 _COMMANDED = 9
-"""First output of a servo where those of a log are made of PX4's commands to motors (1 to 8) and servos."""
+"""First output of a servo if the outputs of a log are made of PX4's commands to motors (1 to 8) and servos."""
 _PULSES = {True: (1000.0, 1000.0), False: (1500.0, 500.0)}
-"""Pulses of no deflection and how many more are a full one, microseconds: of what goes one way only, and of others."""
+"""Pulses of no deflection, and their difference from those of a full one, microseconds: of actuators that go one way
+only (True), and of others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """What moves a vehicle about one axis, and how the output that drives it is known."""
+    """An actuator that moves a vehicle about one axis, and how its output is found."""
 
     name: str
-    usual: int  # its output in ArduPilot's usual order, where no parameter tells
+    usual: int  # its output in ArduPilot's usual order, if no parameter names it
     ardupilot: tuple[int, ...]  # its SERVOn_FUNCTION, the preferred ones first
     surfaces: tuple[int, ...] = ()  # its CA_SV_CSn_TYPE, likewise
-    px4: int = 0  # PX4's function of its output, where it is no surface
+    px4: int = 0  # PX4's function of its output, if it is no surface
     one_way: bool = False
 
     def channel(self, number: int, one_way: bool) -> Channel:
@@ -52,7 +53,7 @@ class Actuator:
 
 
 _MIXED = Actuator("", 0, (73, 74, 77, 78, 79, 80), (5, 6, 7, 8, 13, 14))
-"""Left and right wheels, elevons, V-tails and A-tails: each acts about two axes at once."""
+"""Functions that act about two axes at once: left and right wheels, elevons, V-tails and A-tails."""
 
 
 def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) -> dict[str, Channel]:
@@ -61,11 +62,11 @@ def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) 
     Raises
     ------
     TelemetryError
-        Outputs are mixed, or nothing says which one drives an actuator: every airframe of PX4 has its own order.
+        Outputs are mixed, or nothing names the output of an actuator: every airframe of PX4 has its own order.
     """
     completed = [_completed(survey) for survey in surveys]
     survey = next((found for found in completed if found.px4 and "CA_AIRFRAME" in found.parameters), completed[0])
-    # of outputs themselves a log has those that nothing uses, too, at the pulse of what is disarmed
+    # A log of the outputs themselves also has unused ones, at the pulse of a disarmed output.
     moved = [number for number, output in survey.outputs.items() if output.low < output.high]
     commanded = survey.px4 and survey.onboard and any(number >= _COMMANDED for number in moved)
     functions = _functions(survey, actuators, commanded)
@@ -78,7 +79,7 @@ def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) 
             "telemetry that holds the parameters"
         )
     if not survey.px4:
-        # of a link that loses parameters: what is not said of an output is as usual
+        # A link may lose parameters: an output without one is as usual.
         usual = [None if actuator.usual in functions else actuator.usual for actuator in actuators]
         numbers = [known or other for known, other in zip(numbers, usual, strict=True)]
     if without := [actuator.name for actuator, number in zip(actuators, numbers, strict=True) if number is None]:
@@ -96,7 +97,7 @@ def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) 
 
 
 def _completed(survey: Survey) -> Survey:
-    """Return what a recording of PX4 holds with the parameters that its airframe begins with."""
+    """Return the survey of a PX4 recording with the parameters that its airframe begins with."""
     number = survey.parameters.get("SYS_AUTOSTART", 0.0)
     if not survey.px4 or number not in _AIRFRAMES:
         return survey
@@ -107,12 +108,15 @@ def _completed(survey: Survey) -> Survey:
 
 
 def _output(functions: Mapping[int, float], codes: Sequence[int]) -> int | None:
-    """Return the first output with the first of some functions that any has, None where none has."""
+    """Return the first output with the first of some functions that any output has, None if there is none."""
     return next((number for code in codes for number, function in functions.items() if function == code), None)
 
 
 def _functions(survey: Survey, actuators: Sequence[Actuator], commanded: bool) -> Mapping[int, float]:
-    """Return the functions of outputs by number; none where no parameter gives what is asked for to one."""
+    """Return the functions of outputs by number.
+
+    None if no parameter gives an output one of the requested functions.
+    """
     if commanded:
         return {n: MOTOR + n - 1 if n < _COMMANDED else SERVO + n - _COMMANDED for n in range(1, MAX_OUTPUTS + 1)}
     names = [f"{driver}{{}}" for driver in _DRIVERS] if survey.px4 else ["SERVO{}_FUNCTION"]
@@ -130,7 +134,7 @@ def _wanted(survey: Survey, actuator: Actuator) -> Sequence[int]:
         return actuator.ardupilot
     parameters = survey.parameters
     if actuator.px4 == MOTOR and survey.is_vtol:
-        # rotors that push along the nose, where others lift
+        # rotors that push along the nose; others lift
         ahead = (abs(parameters.get(f"CA_ROTOR{k}_AX", 0.0)) for k in range(_ROTORS))
         return [MOTOR + k for k, x in enumerate(ahead) if x > abs(parameters.get(f"CA_ROTOR{k}_AZ", -1.0))]
     surfaces = [parameters.get(f"CA_SV_CS{k}_TYPE") for k in range(_SURFACES)]

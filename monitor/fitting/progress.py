@@ -1,4 +1,4 @@
-"""How far a long command has come: a bar on a terminal, with the time that is left; in a pipe a line for each stage."""
+"""The progress of a long command: a bar with the remaining time on a terminal; in a pipe a line for each stage."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _SHOW_EVERY = 2000
 
 
 _PATIENCE_S = 5.0
-"""Chosen: what is refused within five seconds is refused in a single line."""
+"""Time before the first line, seconds. Chosen: a command that is refused within five seconds prints a single line."""
 
 
 _LINE_S = 10.0
-"""Chosen: who reads a log of a job sees that it goes on, and not much of it."""
+"""Time between lines, seconds. Chosen: a log of a job shows that the job is still running, and stays short."""
 
 
 class Stages:
-    """Says on stderr which stages are done, a line each, where that is no terminal.
+    """Reports on stderr which stages are done, a line each, unless stderr is a terminal.
 
-    The first lines wait until the command has run for a while, or is done: one that is refused soon says only why.
+    The first lines wait until the command has run for a while, or is done: one that is refused early prints only why.
     """
 
     def __init__(self) -> None:
@@ -37,14 +37,14 @@ class Stages:
         self._waiting: list[str] = []
 
     def done(self, stage: str) -> None:
-        """Say that a stage is done."""
+        """Report that a stage is done."""
         elapsed_s = time.monotonic() - self._started_s
         self._waiting.append(f"{printable(f'fauio: {elapsed_s:.0f} s: {stage}')}\n")
         if elapsed_s >= _PATIENCE_S:
             self.flush()
 
     def flush(self) -> None:
-        """Say what waits to be said."""
+        """Print the lines that wait."""
         if not sys.stderr.isatty():
             sys.stderr.writelines(self._waiting)
             sys.stderr.flush()
@@ -60,13 +60,12 @@ def track(
     total: int | None = None,
     weigh: Callable[[T], int] | None = None,
 ) -> Iterator[T]:
-    """Yield the items; on a terminal say on stderr how far they have come, and wipe the line at the end.
+    """Yield the items; show their progress on stderr if it is a terminal, and wipe the line at the end.
 
-    In a pipe a line says so every ten seconds, and none where it takes less.
-
-    ``what`` is in front of the bar, ``unit`` is counted, ``weigh`` says how many of it an item holds (None: one). Where
-    the items are read from a recording of ``total_bytes`` (:func:`recording_bytes`) the share of it that was read gives
-    per cent and the time that is left; ``total`` is how many of the unit there will be, where that is known.
+    In a pipe a line is printed every ten seconds, and none if it takes less. ``what`` precedes the bar, ``unit`` is
+    counted, ``weigh`` returns how many of it an item holds (None: one). If the items are read from a recording of
+    ``total_bytes`` (:func:`recording_bytes`), the share that was read gives per cent and the remaining time; ``total``
+    is the final number of the unit, if it is known.
     """
     from adapters.logs.compressed import ON_BYTES
 
@@ -95,14 +94,14 @@ def track(
 
 
 class _Lines:
-    """Says how far something has come, a line now and then."""
+    """Prints the progress of something, a line now and then."""
 
     def __init__(self, what: str, unit: str, total: int | None) -> None:
         self._what, self._unit, self._total = what, unit, total
         self._started_s = self._said_s = time.monotonic()
 
     def show(self, *, completed: int, count: int) -> None:
-        """Say it where the last line is old enough."""
+        """Print the progress if the last line is old enough."""
         now_s = time.monotonic()
         if now_s - self._said_s < _LINE_S:
             return
@@ -114,7 +113,7 @@ class _Lines:
 
 
 def recording_bytes(path: Path) -> int:
-    """Return the size of a recording, of all files in a folder; 0 where it cannot be told."""
+    """Return the size of a recording, of all files in a folder; 0 if it is not known."""
     try:
         files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
         return sum(file.stat().st_size for file in files)
@@ -139,6 +138,6 @@ def _bar(unit: str, total: int | None, *, known: bool) -> Any:
     counted = TextColumn("{task.fields[count]:,.0f}" + of_all + f" {unit}")
     left = (BarColumn(), TaskProgressColumn(), TextColumn("left:"), TimeRemainingColumn()) if known else ()
     columns = (SpinnerColumn(), name, *left, counted, TimeElapsedColumn())
-    # A file or pipe that takes the results is not for rich to write to the terminal instead.
+    # If the results go to a file or pipe, rich may not write them to the terminal instead.
     redirect = sys.stdout.isatty()
     return Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=redirect)

@@ -1,4 +1,4 @@
-"""Which messages carry rates and accelerations less what the autopilot's estimator takes for their bias."""
+"""Tell which messages have rates and accelerations without the bias that the autopilot's estimator has learned."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _RAW_LINK = ". SCALED_IMU is raw (mavlink stream -s SCALED_IMU -r 50), and so is
 
 
 def corrected(survey: Survey, message: str) -> frozenset[str]:
-    """Return the fields of a message that are less the bias which the autopilot's estimator has learned.
+    """Return the fields of a message from which the autopilot subtracts the bias that its estimator has learned.
 
     PX4 subtracts it from HIGHRES_IMU and from body rates (``vehicle_angular_velocity`` in its logs); SCALED_IMU and
-    ``sensor_combined``, which HIGHRES_IMU is made of in its logs, are raw. ArduPilot subtracts the gyros' from the
+    ``sensor_combined``, which HIGHRES_IMU is made of in its logs, are raw. ArduPilot subtracts the gyros' bias from the
     rates of ATTITUDE on a link; its IMU messages, and the IMU records that a log's ATTITUDE is made of, are raw.
     """
     if message in ("ATTITUDE", "ATTITUDE_QUATERNION"):
@@ -30,7 +30,7 @@ def corrected(survey: Survey, message: str) -> frozenset[str]:
 
 
 def hidden(surveys: Sequence[Survey], channels: Iterable[Channel]) -> str | None:
-    """Return, for people, what the messages hide that channels are taken from; None where they are raw."""
+    """Return, for people, what the messages of some channels hide; None if they are raw."""
     used = {
         channel.message: None
         for channel in channels

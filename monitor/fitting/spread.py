@@ -1,4 +1,4 @@
-"""How uncertain the estimates of faults really are: measured in healthy flight, where all faults are zero."""
+"""Measure the real uncertainty of fault estimates in healthy flight, where all faults are zero."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _WITHIN_TWO = 0.9545
 def fit_spread(observer: ObserverProfile, plant: Plant, gate: GateRule, flights: Sequence[Flight]) -> dict[str, float]:
     """Return how many times the standard deviation of the design each fault's estimate has in healthy flight.
 
-    Twice as much holds it 95 % of the time. A channel without any error in these flights, which one is that only a
-    judgement fills, is left out, and so is one of which the design tells none.
+    The estimate is within twice that deviation 95 % of the time. A channel without any error in these flights, as one
+    that only a judgement fills, is left out, and so is a channel without a standard deviation from the design.
     """
     errors = []
     for run, stretches in healthy_runs(replace(observer, model=plant), gate, flights):

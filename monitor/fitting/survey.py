@@ -1,4 +1,4 @@
-"""What a recording holds: message names and rates, how servo outputs moved, what the vehicle says it is."""
+"""The contents of a recording: message names and rates, how servo outputs moved, what the vehicle reports."""
 
 from __future__ import annotations
 
@@ -18,24 +18,22 @@ from adapters.message import LATEST_NS, Message
 from monitor.sampling.supply import BATTERY_MESSAGE, CELLS_MESSAGE
 
 _SHORTEST_GAP_NS = 5_000_000_000
-"""A step of 5 s and of ten usual ones is a gap: nothing was recorded, as between two flights in a log. Chosen: what is
-lost for less is a bad link, and belongs in its rate.
-"""
+"""A step of 5 s and of ten usual ones is a gap: nothing was recorded, as between two flights in a log. Chosen: a
+shorter loss comes from a bad link, and lowers its rate."""
 _GAP_STEPS = 10.0
 """See there."""
 _RESTART_NS = -1_000_000_000
-"""A stamp that lies further back than this is of a clock that began anew; a packet that came late is nearer."""
+"""Least step back, nanoseconds, that shows a clock that began anew; a packet that came late is nearer."""
 _BINS_PER_OCTAVE = 4
-"""Steps are counted by their logarithm, so that a recording of any length is counted in the same room. Chosen: the
-usual step is then known to a fifth.
-"""
+"""Bins for each octave of steps. Steps are counted by their logarithm, so that a recording of any length needs the same
+memory. Chosen: the usual step is then known to a fifth."""
 _BINS = 64 * _BINS_PER_OCTAVE
 
 
 class FlightRate:
     """Counts the steps from stamp to stamp of one message.
 
-    With ``repeats`` messages of the same time count, as those that arrive together; else they are one measurement.
+    With ``repeats``, messages of the same time count as they arrive together; without, they are one measurement.
     """
 
     def __init__(self, *, repeats: bool = False) -> None:
@@ -43,12 +41,12 @@ class FlightRate:
         self._last_ns: int | None = None
         self._counts = np.zeros(_BINS, np.int64)
         self._sums_ns = np.zeros(_BINS, np.float64)
-        # of steps back, which messages that overtake each other take
+        # number of steps back, from messages that overtake each other
         self._late = 0
         self._late_ns = 0.0
 
     def add(self, stamps_ns: NDArray[np.int64]) -> None:
-        """Count the stamps (n,) of messages in the order in which they came."""
+        """Count the stamps (n,) of messages in the order in which they arrived."""
         if not len(stamps_ns):
             return
         before = stamps_ns[:1] if self._last_ns is None else np.array([self._last_ns])
@@ -65,7 +63,7 @@ class FlightRate:
 
     @property
     def hz(self) -> float | None:
-        """Messages per second without the gaps, None where there are no two."""
+        """Messages per second without the gaps, None if there are fewer than two."""
         total = int(self._counts.sum())
         if not total:
             return None
@@ -85,32 +83,35 @@ MOTION_MESSAGES = frozenset({MOTOR_MESSAGE, "ATTITUDE", "ATTITUDE_QUATERNION", *
 """Messages that only an autopilot sends: the first system with one of them is the vehicle."""
 
 ESC_MESSAGES = tuple(f"ESC_TELEMETRY_{first}_TO_{first + 3}" for first in (1, 5, 9, 13))
-"""What ArduPilot's speed controllers measure, four in a message. They carry no time: that of arrival stands in."""
+"""Messages with the measurements of ArduPilot's speed controllers, four in each. They carry no time, so that of arrival
+is used."""
 _PX4_VTOLS = (2, 3, 4)
 """PX4's CA_AIRFRAME of standard VTOLs, those that tilt their rotors, and tailsitters."""
 _GPS_MESSAGE = "GPS_RAW_INT"
 _HEARTBEAT = "HEARTBEAT"
 _UNKNOWN = 65_535
-"""MAVLink's value of an unknown speed or course, and the largest that a servo output can hold."""
+"""MAVLink's value of an unknown speed or course, and the largest value of a servo output."""
 _PULSES_US = (800, 2200)
 """Pulses of servos and speed controllers, microseconds. Chosen: 1000 to 2000 with room for trims."""
 IDLE_US = 1050
-"""Chosen: an output that is not above 5 % of the range lifts no vehicle."""
+"""Pulse up to which an output idles, microseconds. Chosen: an output that is not above 5 % of the range lifts no
+vehicle."""
 _MANY_VALUES = 8
-"""A motor in flight takes more values; an output that is off, at idle, or switched between positions takes a few."""
+"""Number of values from which an output counts as a motor in flight; one that is off, at idle, or switched between
+positions takes fewer."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotorOutput:
-    """How one servo output moved while armed, in microseconds of pulses, or what a simulator sends."""
+    """How one servo output moved while armed, in microseconds of pulses, or in a simulator's unit."""
 
     mean: float
     running: float  # mean of its values above idle, if there are any
     # smallest and largest value, zero (no output) left out
     low: int
     high: int
-    outside: float  # share of its values that no pulse of a motor or servo has
-    many: bool  # it took more values than an output does that is switched
+    outside: float  # share of its values that are outside of the pulses of motors and servos
+    many: bool  # it took more values than a switched output does
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,17 +119,17 @@ class Survey:
     """Counts of a recording's messages by name, their largest rates, and how each servo output moved while armed."""
 
     counts: dict[str, int]  # messages by name
-    # measurements per second of the vehicle's clock within flights, by name, for messages that carry a time; of
-    # those of speed controllers and the battery, which do not, as they arrived
+    # measurements per second of the vehicle's clock within flights, by name, for messages that carry a time; messages
+    # of speed controllers and the battery do not, so their rate is that of arrival
     rate_hz: dict[str, float]
     outputs: dict[int, MotorOutput]  # how servo outputs moved while armed, by number
-    # fields of the last message of each name while armed, or at all of a vehicle that never was; of the GPS, the last
-    # that knew speed and course
+    # fields of the last message of each name while armed, or of all messages if the vehicle never was; of the GPS, of
+    # the last message with speed and course
     examples: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    vehicle_types: frozenset[str] = frozenset()  # what the autopilot's heartbeats say it is (``quadrotor``)
-    # the vehicle's parameters by name, as far as the recording holds them, each with the last value that it had
+    vehicle_types: frozenset[str] = frozenset()  # the kind of vehicle in the autopilot's heartbeats (``quadrotor``)
+    # the vehicle's parameters by name, as far as the recording holds them, each with its last value
     parameters: Mapping[str, float] = field(default_factory=dict)
-    never_armed: bool = False  # heartbeats came, and none says that the vehicle is armed
+    never_armed: bool = False  # heartbeats came, and in none the vehicle is armed
     px4: bool = False  # the autopilot is PX4
     onboard: bool = False  # it is an onboard log, or was converted from one
 
@@ -139,13 +140,13 @@ class Survey:
 
     @property
     def is_vtol(self) -> bool:
-        """Whether it has rotors and wings, as it says itself or by its parameters."""
+        """Whether it has rotors and wings, by its heartbeats or its parameters."""
         by_type = any("vtol" in name for name in self.vehicle_types)
         return by_type or self.parameters.get("Q_ENABLE", 0) > 0 or self.parameters.get("CA_AIRFRAME") in _PX4_VTOLS
 
 
 def survey(batches: Iterable[Batch]) -> Survey:
-    """Go through a recording once."""
+    """Read a whole recording once."""
     surveyor = _Surveyor()
     for batch in batches:
         surveyor.add(batch)
@@ -206,7 +207,7 @@ class _Surveyor:
         seen = self._while[False] if never_armed else flown
         outputs = {number: tally.output() for number, tally in sorted(flown.tallies.items())}
         vehicle_types = frozenset(map(vehicle_type, self._types)) - {""}
-        # whether integers are sent byte by byte is known once the autopilot has said what it is
+        # integers may be sent byte by byte, which is known once the autopilot's kind is
         px4 = self._autopilot == PX4
         parameters = dict(filter(None, (parameter(values, px4=px4) for values in self._parameters.values())))
         return Survey(
@@ -253,7 +254,7 @@ def _single(index: int, message: Message) -> _Group:
 
 
 def _is_fix(fields: Mapping[str, Any]) -> bool:
-    """Return whether a GPS message knows speed and course."""
+    """Return whether a GPS message holds speed and course."""
     return _UNKNOWN not in (fields.get("vel"), fields.get("cog"))
 
 
@@ -275,7 +276,7 @@ def _stamps(group: _Group) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 class _State:
-    """What was seen while the vehicle was armed, was not, or had not said.
+    """Counts while the vehicle was armed, was not, or had not reported either.
 
     ``examples`` are fields of the last message by name, ``tallies`` sums of the servo outputs by number.
     """
@@ -285,7 +286,7 @@ class _State:
         self.tallies: dict[int, _Tally] = {}
 
     def add(self, group: _Group, first: int, last: int) -> None:
-        """Take the messages first <= row < last of a group."""
+        """Count the messages first <= row < last of a group."""
         rows = range(last - 1, first - 1, -1)
         row = next((row for row in rows if group.name != _GPS_MESSAGE or _is_fix(group.fields_at(row))), None)
         if row is not None:
@@ -305,7 +306,7 @@ class _State:
 
 
 class _Tally:
-    """How many values one output had and their sum: of all, and of those above idle."""
+    """Number and sum of the values of one output: of all, and of those above idle."""
 
     def __init__(self) -> None:
         self.total, self.above = (0, 0), (0, 0)
@@ -332,8 +333,8 @@ class _Tally:
 def of_one_vehicle(batches: Iterable[Batch], names: Collection[str] = MOTION_MESSAGES) -> Iterator[Batch]:
     """Yield the messages of the first system that sends one of these messages, from then on.
 
-    Its parameters come along from before, too: logs begin with them; so does telemetry that carries no ids, as that of
-    ROS 2, which is of the vehicle that the recording is of.
+    Its earlier parameters are included, since logs begin with them; so is telemetry that carries no ids, as that of ROS
+    2, which belongs to the vehicle of the recording.
     """
     system: int | None = None
     early: list[Message] = []
@@ -358,29 +359,29 @@ def of_one_vehicle(batches: Iterable[Batch], names: Collection[str] = MOTION_MES
 
 
 def _is_of(message: Message, system: int) -> bool:
-    """Return whether a message is of a system; a log's parameters carry no ids."""
+    """Return whether a message belongs to a system; a log's parameters carry no ids."""
     own = message.system == system or _has_no_ids(message)
     return own or (message.source.is_onboard_log and message.name in PARAMETER_MESSAGES)
 
 
 def _has_no_ids(message: Message) -> bool:
-    """Return whether a message is telemetry that never carries ids, but for a log's own records."""
+    """Return whether a message is telemetry that never carries ids, other than a log's own records."""
     source = message.source
     return source.is_telemetry and not source.has_ids and not source.is_onboard_log
 
 
 def in_every(surveys: Sequence[Survey], messages: Iterable[str]) -> str | None:
-    """Return the first of some messages whose rate is known in every recording, None where there is none."""
+    """Return the first of some messages whose rate is known in every recording, None if there is none."""
     return next((name for name in messages if least_hz(surveys, name) > 0.0), None)
 
 
 def least_hz(surveys: Sequence[Survey], message: str) -> float:
-    """Return how often a message comes in the recording that has it least often; 0 where one has none of it."""
+    """Return the lowest rate of a message over the recordings; 0 if one recording has none of it."""
     return min(found.rate_hz.get(message, 0.0) for found in surveys)
 
 
 def fitted_rates(surveys: Sequence[Survey], channels: Sequence[Channel]) -> dict[str, float]:
-    """Return how often the messages of channels came in the recording that has fewest of each."""
+    """Return, for the messages of channels, the lowest rate of each over the recordings."""
     names = sorted({channel.message for channel in channels})
     return {name: float(f"{min(found.rate_hz[name] for found in surveys):.3g}") for name in names}
 

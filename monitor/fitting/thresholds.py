@@ -1,10 +1,10 @@
-"""Alarm thresholds from healthy evidence, for a stated rate of false alarms.
+"""Fit alarm thresholds to healthy evidence, for a stated rate of false alarms.
 
-Each path of a channel's alarm (fast, plain, slow) asks a statistic of the evidence to exceed a size. The size is the
-level that the statistic exceeds at the path's share of the rate granted to the observer, by extreme-value fit over
-healthy flights (:mod:`monitor.fitting.extremes`), of the lasting path by the scatter of their means
-(:mod:`monitor.fitting.lasting`), and never below a floor: the smallest fault that the model is good
-enough to speak about. The confidence limits of the level are reported: minutes of flight leave them wide.
+Each path of a channel's alarm (fast, plain, slow) compares a statistic of the evidence with a size. The size is the
+level that the statistic exceeds at the path's share of the observer's granted rate, by an extreme-value fit over
+healthy flights (:mod:`monitor.fitting.extremes`); for the lasting path by the scatter of the flights' means
+(:mod:`monitor.fitting.lasting`). It is never below a floor: the smallest fault for which the model is accurate enough.
+The confidence limits of the level are reported: minutes of flight leave them wide.
 """
 
 from __future__ import annotations
@@ -29,24 +29,26 @@ from monitor.profile import ObserverProfile
 from monitor.sampling.gate import GateRule
 
 FALSE_ALARMS_PER_HOUR = 0.1
-"""Rate granted to each observer: one false alarm in ten hours. Chosen: rare against the flights of a day; lower rates
-extrapolate further beyond minutes of healthy flight and raise every threshold."""
+"""False alarms an hour granted to each observer: one in ten hours. Chosen: rare against the flights of a day; lower
+rates extrapolate further beyond minutes of healthy flight and raise every threshold."""
 CONFIDENCE = 0.95
-"""Of what healthy flights exclude, whatever the law of their extremes. Chosen: the usual one."""
+"""Confidence of the rates that healthy flights exclude, whatever the law of their extremes. Chosen: the usual one."""
 _PATHS = 3
-"""Fast, plain and slow: each gets a third of a channel's rate, and lasting, where there is no sudden path, as much."""
+"""Number of paths that share a channel's rate: fast, plain and slow; lasting gets as much, if there is no sudden
+path."""
 _USUAL = 0.9
-"""Share of healthy evidence inside the size that clears an alarm, at least: the debounce then counts up four fifths of
-the time, and 0.5 s of quiet are counted in 0.63 s. Half of a threshold near the noise is met half of the time."""
+"""Least share of healthy evidence below the size that clears an alarm: the debounce then counts up four fifths of the
+time, and 0.5 s without evidence are counted in 0.63 s. Half of a threshold near the noise would hold half of the
+evidence."""
 _LEAD_S = 30.0
-"""Longer than any observer takes to settle before a sample is evidence."""
+"""Lead time before evidence, seconds: longer than any observer takes to settle."""
 _LEAST_PER_100H = 0.01
-"""False alarms in 100 hours below which a tail says nothing: one in a year, from minutes of flight."""
+"""False alarms in 100 hours below which a tail is not reported: one in a year is beyond minutes of flight."""
 
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """How long evidence has to stand on each path and to be gone, seconds; ``slow_s`` is the mean's time constant."""
+    """How long evidence has to last on each path, and to be absent, seconds; ``slow_s`` is the mean's time constant."""
 
     fast_s: float = 0.06
     raise_s: float = 0.15
@@ -62,14 +64,14 @@ class Levels:
     fast: ReturnLevel
     plain: ReturnLevel
     slow: ReturnLevel
-    usual: float  # size inside which healthy evidence is nine tenths of the time
+    usual: float  # size below which healthy evidence is nine tenths of the time
 
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """A rule and what it rests on: the level of the plain path with its confidence, per ``scale``.
+    """A rule and its basis: the level of the plain path with its confidence, per ``scale``.
 
-    Without a level the evidence is zero in healthy operation: what makes it more is calibrated before it.
+    Without a level the evidence is zero in healthy operation: an earlier calibration decides when it is not.
     """
 
     rule: AlarmRule
@@ -110,11 +112,9 @@ def healthy_evidence(
     """Run an observer's chain over healthy samples as the monitor does.
 
     With ``own`` the evidence of a fault is its smoothed estimate under its own hypothesis, whichever is believed, in
-    effect units: a hypothesis that healthy flight hardly ever brought to be believed would else look quieter than it
-    is.
-
-    Return evidence (N, a + 1) of each stretch of samples that count, per the scale of its sizes there, or the root of
-    the residuals' level; the last column is the unexplained score.
+    effect units: a hypothesis that is hardly ever believed in healthy flight would otherwise seem to have less noise
+    than it has. Return evidence (N, a + 1) of each stretch of samples that count, divided by the scale of its sizes
+    there, or by the root of the residuals' level; the last column is the unexplained score.
     """
     edges = edge_faults(observer.isolation)
     levelled = [observer.excitation is None and channel.name not in edges for channel in observer.faults]
@@ -130,7 +130,7 @@ def healthy_evidence(
 def healthy_runs(
     observer: ObserverProfile, gate: GateRule, flights: Sequence[Flight]
 ) -> Iterator[tuple[ChainRun, list[slice]]]:
-    """Yield what an observer's chain makes of each healthy flight, and the rows of each stretch that counts."""
+    """Yield the results of an observer's chain for each healthy flight, and the rows of each stretch that counts."""
     for flight in flights:
         watched = flight.rows(_watched(flight, observer.rate_hz * max(_LEAD_S, 3.0 * gate.settle_s)))
         chain = ObserverChain(observer, "healthy", gate, VehicleClock())
@@ -139,7 +139,7 @@ def healthy_runs(
 
 
 def _watched(flight: Flight, lead: float) -> NDArray[np.intp]:
-    """Return the rows of a flight without those that no evidence follows within ``lead`` samples, as on the ground."""
+    """Return the rows of a flight, without those that no evidence follows within ``lead`` samples, as on the ground."""
     evidence = flight.evidence
     if not len(evidence):
         return evidence
@@ -157,9 +157,9 @@ def healthy_levels(
 ) -> Levels:
     """Return the levels that signed healthy evidence exceeds at a rate of false alarms granted to each channel.
 
-    ``evidence`` has an array for each stretch (N_i,); that of several channels of one kind is pooled in a unit that
-    makes them comparable: a calm log of one motor cannot foresee what a gusty one of another has shown. The paths share
-    the rate; a level is ``most`` times the largest value seen at most.
+    ``evidence`` has an array for each stretch (N_i,); channels of one kind are pooled in a unit that makes them
+    comparable: a calm log of one motor cannot foresee what a gusty one of another has shown. The paths share the rate;
+    a level is at most ``most`` times the largest value of the series.
     """
     per_path = alarms_per_hour / _PATHS
 
@@ -210,7 +210,7 @@ def calibrated(
 def with_lasting(
     found: Calibrated, scatter: Scatter, scale: float, *, floor: float, alarms_per_hour: float
 ) -> Calibrated:
-    """Return the alarm with its lasting path, where that sees less than the slow one."""
+    """Return the alarm with its lasting path, if that path detects smaller faults than the slow one."""
     size = max(scale * scatter.level(alarms_per_hour / _PATHS), floor)
     if size >= found.rule.slow:
         return found
@@ -218,7 +218,7 @@ def with_lasting(
 
 
 def plain_only(found: Calibrated) -> Calibrated:
-    """Return the alarm with its plain path alone: an edge does not fade, and a mean of scores says nothing."""
+    """Return the alarm with its plain path alone: an edge does not fade, and a mean of scores has no meaning."""
     return replace(found, rule=replace(found.rule, fast=math.inf, slow=math.inf, latch_s=0.0, healthy=0.0))
 
 
