@@ -53,7 +53,7 @@ class Replay:
     samples: int = 0  # samples of all observers
     evidence: int = 0  # samples among them from which alarms could be raised
     watched_s: float = 0.0  # vehicle time over which alarms could be raised, of the observer that watched longest
-    messages: int = 0  # messages of the recording that the pipeline read
+    messages: int = 0  # messages that were read from the recording
     # alarm thresholds by observer and channel
     thresholds: Mapping[tuple[str, str], float] = field(default_factory=dict)
     # by observer, the messages that the recording lacks; such an observer could watch nothing

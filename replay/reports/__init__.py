@@ -1,1 +1,1 @@
-"""A run for people: findings, plots, the HTML page."""
+"""Reports of a run for people: findings, plots, the HTML page."""

@@ -1,4 +1,4 @@
-"""Charts of a run: series thinned to what a screen shows, as data that ``report.js`` and :mod:`.plot` draw."""
+"""Charts of a run: series thinned to the resolution of a screen, as data that ``report.js`` and :mod:`.plot` draw."""
 
 from __future__ import annotations
 
@@ -17,35 +17,36 @@ from replay.reports.recording_facts import GAP_PERIODS, GAP_S
 from replay.reports.report_html import Html, element
 
 BINS = 700
-"""Chosen: a chart is 600 to 900 pixels wide; each bin is two points, 15 bytes of the page for each series."""
+"""Bins of a series. Chosen: a chart is 600 to 900 pixels wide; each bin is two points, 15 bytes of the page."""
 DOUBT_DEVIATIONS = 2.0
-"""Standard deviations that are shaded around an estimate: a band of two holds 95 %."""
+"""Standard deviations that are shaded around an estimate: a band of two contains 95 % of the values."""
 USUAL_PERCENT = 99.5
-"""Chosen: the scale of residuals without the jumps of a fault, which would flatten the rest."""
+"""Share of the residuals that their scale contains. Chosen: it leaves out the jumps of a fault, which would flatten the
+rest."""
 LEAST_BINS = 60
-"""Chosen: of ten series in one chart, nobody follows one in more."""
+"""Fewest bins of a series. Chosen: nobody follows more in one of ten series of a chart."""
 _HELD_S = 0.5
-"""Chosen by eye: so long around what a channel is held responsible for its uncertainty is shown, too."""
+"""Time around an isolated fault, in seconds, for which its uncertainty is shown, too. Chosen by eye."""
 _ROUNDING = 1e-9
-"""A residual below this part of its measurement is zero: the estimates explain the measurement whatever it is."""
+"""A residual below this share of its measurement is zero: the estimates explain every measurement."""
 _DIGITS = 4
-"""Chosen: a chart of 250 pixels shows three."""
+"""Digits of a chart's numbers. Chosen: a chart of 250 pixels shows three."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """One chart: a title, and what is drawn."""
+    """One chart: a title, and its content."""
 
     title: str
     content: dict[str, Any]
 
 
 class Charts:
-    """The charts of one page, in the order in which they were added; each is drawn where its element is.
+    """The charts of one page, in the order in which they were added; each is drawn in its own element.
 
-    ``run`` is the run that charts of observers and their channels are of, with sizes in the profile's units.
+    ``run`` is the run of the charts of observers and channels, with sizes in the profile's units.
     """
 
     def __init__(self, run: RunView | None = None) -> None:
@@ -63,7 +64,7 @@ class Charts:
         return self.add(fault_chart(self._run, self._trace(observer), channel))
 
     def add_observer(self, observer: str) -> Iterator[Html]:
-        """Add all of an observer."""
+        """Add all charts of an observer."""
         for chart in observer_charts(self._run, self._trace(observer)):
             yield self.add(chart)
 
@@ -71,20 +72,20 @@ class Charts:
         return next(trace for trace in self._run.traces if trace.layout.observer == observer)
 
     def to_json(self) -> str:
-        """Return the charts as JSON that ends no element of a page."""
+        """Return the charts as JSON that cannot close an element of the page."""
         text = json.dumps(self._contents, separators=(",", ":"), allow_nan=False)
         return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
 def origin_ns(traces: Sequence[Trace]) -> int:
-    """Return the vehicle's time of a run's first sample, the zero of all its charts; 0 where there is none."""
+    """Return the vehicle's time of a run's first sample, the zero of all its charts; 0 if there is no sample."""
     return min((int(trace.vehicle_ns[0]) for trace in traces if len(trace.vehicle_ns)), default=0)
 
 
 def fault_chart(run: RunView, trace: Trace, channel: str, scale: Sequence[int] = (), bins: int = BINS) -> Chart:
     """Return the chart of one fault channel: its estimate with uncertainty, threshold, truth, and its alarms.
 
-    The run and its trace are in the units that people say. The axis has the range that the channels at ``scale`` need,
+    The run and its trace are in the units that people use. The axis has the range that the channels at ``scale`` need,
     by default this one.
     """
     layout = trace.layout
@@ -113,10 +114,10 @@ def fault_chart(run: RunView, trace: Trace, channel: str, scale: Sequence[int] =
 def observer_charts(
     run: RunView, trace: Trace, channels: Collection[str] | None = None, bins: int = BINS
 ) -> Iterator[Chart]:
-    """Yield all of an observer: channels over their thresholds, residuals over their usual size, inputs.
+    """Yield all charts of an observer: channels over their thresholds, residuals over their usual size, inputs.
 
-    Behind each name stands what one of the chart's units is. ``channels`` are those to show, None shows all. Residuals
-    that are nothing but rounding are left out.
+    After each name comes the value of one of the chart's units. ``channels`` are the ones to show; None: all. Residuals
+    that are only rounding errors are left out.
     """
     layout = trace.layout
     faults, residuals, inputs = [], [], []
@@ -132,9 +133,9 @@ def observer_charts(
     for name, command in zip(layout.inputs, trace.u.T, strict=True):
         low, high = usual_range(evidence(trace, command))
         said = f"{low:.2g} … {high:.2g}".replace("-", "\N{MINUS SIGN}")
-        # one that never moves lies in the middle of its lane, where it is seen
+        # a constant command lies in the middle of its lane, where it is visible
         inputs.append((name, (command - low) / (high - low) if high > low else 0.5 + command - low, said))
-    # those of no observer, such as lost telemetry, concern them all
+    # alarms of no observer, such as lost telemetry, concern all observers
     others = {other.layout.observer for other in run.traces} - {layout.observer}
     spans = _spans(run, lambda span: span.observer not in others)
     for title, unit, limits, named in (
@@ -168,7 +169,7 @@ def _content(
     zero_ns, each = origin_ns(run.traces), max(LEAST_BINS, bins // len(series))
     drawn = [values for kind, _, values in series if kind]
     rows = np.unique(np.concatenate([kept_rows(values, trace.restart, each) for values in drawn]))
-    # lines break where the observer started afresh
+    # lines are interrupted where the observer restarted
     breaks = np.flatnonzero(trace.restart[rows] & (rows > 0))
     times_s = (trace.vehicle_ns[rows] - zero_ns) / 1e9
     columns = [np.insert(values[rows], breaks, np.nan) for _, _, values in series]
@@ -185,7 +186,7 @@ def _content(
 
 
 def end_s(traces: Sequence[Trace]) -> float:
-    """Return when a run ended, counted from its first sample."""
+    """Return the end of a run, counted from its first sample."""
     last_ns = max((int(trace.vehicle_ns[-1]) for trace in traces if len(trace.vehicle_ns)), default=0)
     return (last_ns - origin_ns(traces)) / 1e9
 
@@ -205,7 +206,7 @@ def _spans(run: RunView, concerns: Callable[[AlarmSpan], bool]) -> list[dict[str
 
 
 def _around(drawn: Sequence[NDArray[np.float64]], least: float) -> list[float]:
-    """Return the ends of an axis that holds most of what is drawn."""
+    """Return the ends of an axis that contains most of the drawn values."""
     largest = max((usual_size(values[np.isfinite(values)]) for values in drawn), default=0.0)
     return [-max(least, largest), max(least, largest)]
 
@@ -215,9 +216,9 @@ def _short(value: float) -> float | None:
 
 
 def kept_rows(values: NDArray[np.float64], restart: NDArray[np.bool_], bins: int) -> NDArray[np.intp]:
-    """Return the samples that draw the same line as all N: of ``bins`` runs the smallest and the largest, in order.
+    """Return the samples that draw the same line as all N: the smallest and the largest of each bin, in order.
 
-    The first sample after the observer started afresh is kept, too.
+    The first sample after a restart of the observer is kept, too.
     """
     size = -(-len(values) // bins)
     edges = np.union1d(np.flatnonzero(restart), [0, len(values)]).astype(np.intp)
@@ -231,7 +232,7 @@ def kept_rows(values: NDArray[np.float64], restart: NDArray[np.bool_], bins: int
 
 
 def _extremes(values: NDArray[np.float64], size: int) -> NDArray[np.intp]:
-    """Return the places of the smallest and the largest value of each run of ``size`` samples, in order."""
+    """Return the indices of the smallest and the largest value of each run of ``size`` samples, in order."""
     whole = len(values) // size * size
     rest = np.arange(whole, len(values))
     runs = values[:whole].reshape(-1, size)
@@ -245,7 +246,7 @@ def _extremes(values: NDArray[np.float64], size: int) -> NDArray[np.intp]:
 
 
 def unwatched(trace: Trace, origin_ns: int, end_s: float) -> list[tuple[float, float]]:
-    """Return from when to when (s) an observer could raise no alarm, gaps between its samples among it."""
+    """Return the spans (s) in which an observer could raise no alarm, including the gaps between its samples."""
     times_s = (trace.vehicle_ns - origin_ns) / 1e9
     steps_s = np.diff(times_s)
     usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
@@ -262,7 +263,7 @@ def unwatched(trace: Trace, origin_ns: int, end_s: float) -> list[tuple[float, f
 
 
 def held(trace: Trace, estimate: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return where a channel is held responsible for something, shortly before or after included: no flicker."""
+    """Return the samples at which, or shortly before or after which, a channel is held responsible: no flicker."""
     held_ns = trace.vehicle_ns[estimate != 0.0]
     if not len(held_ns):
         return np.zeros(len(estimate), np.bool_)
@@ -274,12 +275,12 @@ def held(trace: Trace, estimate: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def usual_size(values: NDArray[np.float64]) -> float:
-    """Return the size below which most values are, 0 where there is none."""
+    """Return the size that most values do not exceed, 0 if there are no values."""
     return float(np.percentile(np.abs(values), USUAL_PERCENT)) if len(values) else 0.0
 
 
 def usual_range(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return between what most values are."""
+    """Return the range that contains most values."""
     if not len(values):
         return 0.0, 0.0
     low, high = np.percentile(values, (100.0 - USUAL_PERCENT, USUAL_PERCENT))

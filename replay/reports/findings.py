@@ -1,4 +1,4 @@
-"""What a run says about each channel: its alarms with size and certainty, and how quiet it was without."""
+"""Findings of a run for each channel: its alarms with size and certainty, and its largest evidence without alarms."""
 
 from __future__ import annotations
 
@@ -22,44 +22,47 @@ from monitor.trace import AlarmSpan, Trace, alarm_spans
 
 FIT_FILE = "fit.json"
 _PARTS = 8
-"""What a fault came to is the median of its last eighth. Chosen: long enough for noise, short beside its growth."""
+"""The final size of a fault is the median of the last one of so many parts. Chosen: an eighth is long enough for noise,
+and short beside the fault's growth."""
 _GROWTH = 1.2
-"""From where on a fault grew, over its median. Chosen: two standard deviations of estimates are some per cent of what
-raises an alarm, a tenth at most."""
+"""Smallest ratio of the final size to the median for a fault that grew. Chosen: two standard deviations of estimates
+are some per cent of the size that raises an alarm, a tenth at most."""
 _SAME_SIZE = 1e-3
-"""Relative: thresholds are written with four digits."""
+"""Largest relative difference of two equal thresholds: they are written with four digits."""
 _NOTHING = 1e-3
-"""Of a threshold: sizes have three digits, and less than one of the last of them is said as none."""
+"""Share of the threshold below which a size is shown as zero: sizes have three digits, and it is less than one of the
+last digit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One alarm of a run, and what the estimates say about it."""
+    """One alarm of a run, with the estimates during it."""
 
     alarm: AlarmSpan
     largest: AlarmEvent  # its event with the largest estimate
-    # median estimate while it was active, or what it grew to, and one standard deviation of it; None where not known
+    # median estimate while the alarm was active, or final size of a fault that grew, and its standard deviation; None
+    # if unknown
     size: float | None
     deviation: float | None
-    grew: bool  # whether the size is that of the end of its growth
-    # the observer's channel that was held responsible for most beside it meanwhile, in shares of its own threshold
+    grew: bool  # whether the size is the final size of a fault that grew
+    # the observer's other channel with the largest isolated estimate meanwhile, in shares of its own threshold
     rival: tuple[str, float] | None
-    relative: float | None  # the size over the command, where that makes sense
-    message: str  # what happened, as a sentence about the size
-    # when it is believed, where that is not for its threshold but for the certainty of a lost effect
+    relative: float | None  # the size relative to the command, if that makes sense
+    message: str  # sentence about the fault and its size
+    # the rule of the alarm, if it judges the certainty of a lost effect instead of a threshold
     effect: EffectivenessRule | None
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What a threshold rests on."""
+    """The basis of a threshold."""
 
-    # size that healthy evidence exceeds at the granted rate of false alarms, with its confidence limits; None where
-    # healthy evidence is zero by what was calibrated before it
+    # size that healthy evidence exceeds at the granted rate of false alarms, with its confidence limits; None if an
+    # earlier calibration makes healthy evidence zero
     level: float | None
     low: float | None
     high: float | None
-    hours: float | None  # hours of healthy evidence it comes from
+    hours: float | None  # hours of healthy evidence behind it
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,24 +70,24 @@ class WatchedChannel:
     """One channel with an alarm, over a run."""
 
     rule: AlarmRule
-    calibration: Calibration | None  # None where the threshold was never calibrated, or changed since
-    watched_s: float  # how long alarms could be raised
-    peak: float | None  # largest evidence meanwhile by size; None where there is none, or it is not recorded
-    alarms: int  # how many alarms it raised
-    effect: EffectivenessRule | None  # as of :class:`Finding`
-    usual_command: float | None  # of a motor: what it lost is said as a share of that
+    calibration: Calibration | None  # None if the threshold was never calibrated, or has changed since
+    watched_s: float  # time during which alarms could be raised
+    peak: float | None  # largest evidence by magnitude during that time; None if there is none, or it is not recorded
+    alarms: int  # number of alarms that it raised
+    effect: EffectivenessRule | None  # as in :class:`Finding`
+    usual_command: float | None  # for a motor: its loss is given as a share of this command
 
     def size_text(self, size: float) -> str:
-        """Return a size of the channel as people say it, none where that is nothing beside the threshold."""
+        """Return a size of the channel for people; it is zero if it is negligible beside the threshold."""
         if abs(size) < _NOTHING * self.rule.threshold:
             size = 0.0
         return size_text(size, self.rule.unit, self.usual_command)
 
 
 def effects(profile: Profile) -> dict[tuple[str, str], EffectivenessRule]:
-    """Return the channels, by observer and name, that answer for the effect of an actuator.
+    """Return the channels, by observer and name, whose alarms judge the lost effect of an actuator.
 
-    What is shown of them is not the estimate of their fault, whose standard deviation therefore is not theirs.
+    What is shown of them is not the estimate of their fault, so the standard deviation of that estimate does not apply.
     """
     return {
         (observer.name, name): rule for observer in profile.observers for name, rule in observer.effectiveness.items()
@@ -92,7 +95,7 @@ def effects(profile: Profile) -> dict[tuple[str, str], EffectivenessRule]:
 
 
 def findings(profile: Profile, events: Iterable[AlarmEvent], traces: Sequence[Trace]) -> list[Finding]:
-    """Return each alarm of a run, in the order of their beginnings."""
+    """Return each alarm of a run, in the order of their begins."""
     thresholds = {
         (rule.observer, rule.channel): rule.threshold for observer in profile.observers for rule in observer.alarms
     }
@@ -108,7 +111,7 @@ def watched_channels(
 ) -> list[WatchedChannel]:
     """Return every channel of the profile that has an alarm.
 
-    What its thresholds rest on is read from the profile's folder; ``watched_s`` says how long each observer watched.
+    The basis of the thresholds is read from the profile's folder; ``watched_s`` is the time that each observer watched.
     """
     rests_on, by_effect = _calibrations(folder), effects(profile)
     by_name = {trace.layout.observer: trace for trace in traces}
@@ -146,7 +149,7 @@ def _finding(
     deviation = _median(trace.sd[inside, index]) if effect is None else None
     relative, message = None, largest.message
     if size is not None:
-        # A raise knows the size of a few samples, later events know it better.
+        # When an alarm is raised, its size rests on a few samples; later events know it better.
         near = min(active[1:] or active, key=lambda event: abs((event.estimate or 0.0) - size))
         shares = [event.relative for event in active if event.relative is not None]
         if effect is not None:
@@ -162,7 +165,7 @@ def _finding(
 
 
 def _size(values: NDArray[np.float64]) -> tuple[float | None, bool]:
-    """Return the median of estimates, and of those that grew what they came to; whether they did."""
+    """Return the median of estimates, or their final size if they grew; and whether they grew."""
     values = values[np.isfinite(values)]
     if not len(values):
         return None, False
@@ -197,7 +200,7 @@ def _peak(trace: Trace | None, channel: str) -> float | None:
 
 
 def _calibrations(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
-    """Return what the fit of the profile says of its thresholds; nothing where there is no such file."""
+    """Return the calibration of the thresholds from the profile's fit report; empty if there is no such file."""
     try:
         observers = json.loads((folder / FIT_FILE).read_text())["observers"]
         return {

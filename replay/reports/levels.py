@@ -1,13 +1,13 @@
-"""What one flight says of wear: the mean of each actuator's estimate over the flight, and how well it is known.
+"""The level of wear in one flight: the mean of each actuator's estimate over the flight, and its uncertainty.
 
-A share of the command is estimated by least squares through the origin, f^ = s u + noise; of a surface, which is read
-against its deflection, beside a constant offset. What is no share of a command is the mean of its estimate. Noise is
-coloured: its variance counts as often as :func:`gains.identification.regression.coloured_inflation` says. What differs
-from flight to flight (load, weather, temperature) is not in this uncertainty; whoever compares flights has to estimate
-it from them.
+A share of the command is estimated by least squares through the origin, f^ = s u + noise; for a surface, whose effect
+is judged against its deflection, together with a constant offset. The level of a channel without a command is the mean
+of its estimate. Noise is coloured: its variance is multiplied by the factor of
+:func:`gains.identification.regression.coloured_inflation`. The differences from flight to flight (load, weather,
+temperature) are not in this uncertainty; a comparison of flights has to estimate them.
 
-Rows in which an alarm of another channel of the same observer was active count nothing: a fault shows in its
-neighbours' estimates, too.
+Rows in which an alarm of another channel of the same observer was active are left out: a fault shows in its neighbours'
+estimates, too.
 """
 
 from __future__ import annotations
@@ -28,13 +28,14 @@ from monitor.profile import FaultChannel, ObserverProfile, Profile
 from monitor.trace import Trace, alarm_spans
 
 _LEAST_S = 20.0
-"""Evidence that is needed, seconds: as much as observers need to be fitted."""
+"""Shortest evidence, seconds: as much as observers need to be fitted."""
 _LEAST_COMMAND = 1e-6
-"""Root mean square of a command, of full command 1, below which no share of it is known: nothing was commanded."""
+"""Smallest root mean square of a command, relative to full command, for which a share is estimated: below it nothing
+was commanded."""
 
 
 class WornChannel(NamedTuple):
-    """A channel that shows wear: the observer's name, its own, and the unit that people say for its levels."""
+    """A channel that shows wear: its observer, its name, and the unit of its levels for people."""
 
     observer: str
     channel: str
@@ -43,12 +44,12 @@ class WornChannel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class WearLevel:
-    """What a flight says of one channel."""
+    """The level of one channel in one flight."""
 
     of: WornChannel
-    value: float  # in the channel's unit, zero as when the profile was fitted
-    sd: float  # one standard deviation of it, from what varies within the flight alone
-    limit: float  # the value at which the monitor raises an alarm; its sign is that of wear
+    value: float  # in the channel's unit; zero: as in the fitted flights
+    sd: float  # standard deviation of the value, from the variation within the flight alone
+    limit: float  # the value at which the monitor raises an alarm; it has the sign of wear
 
 
 def worn_channels(profile: Profile) -> list[WornChannel]:
@@ -68,7 +69,7 @@ def level_columns(of: WornChannel) -> tuple[str, str, str]:
 
 
 def flight_levels(profile: Profile, events: Sequence[AlarmEvent], traces: Sequence[Trace]) -> list[WearLevel]:
-    """Return the level of each such channel that a replayed flight tells of, from its events and traces."""
+    """Return the level of each channel that shows wear, if a replayed flight's events and traces allow an estimate."""
     by_name = {trace.layout.observer: trace for trace in traces}
     levels = []
     for observer in profile.observers:
@@ -80,10 +81,10 @@ def flight_levels(profile: Profile, events: Sequence[AlarmEvent], traces: Sequen
 
 
 def wear_sign(fault: FaultChannel) -> int:
-    """Return the sign of wear in a channel's estimates; 0 where it shows none.
+    """Return the sign of wear in a channel's estimates; 0 if the channel does not show wear.
 
-    Worn actuators deliver less, worn motors draw more current, worn bearings and propellers shake more, and the
-    resistance of worn batteries is larger.
+    Worn actuators deliver less, worn motors draw more current, worn bearings and propellers vibrate more, and worn
+    batteries have a larger resistance.
     """
     if fault.kind != "actuator":
         return 0
@@ -126,13 +127,13 @@ def _level(
 def _share(
     estimate: NDArray[np.float64], command: NDArray[np.float64], rate_hz: float, *, beside_offset: bool
 ) -> tuple[float, float]:
-    """Return which share of its command an estimate is, and one standard deviation of that."""
+    """Return the estimate as a share of its command, and the standard deviation of that share."""
     X = np.column_stack([command, np.ones(len(command))] if beside_offset else [command])
     coefficients, _, rank, _ = np.linalg.lstsq(X, estimate, rcond=None)
     rest = estimate - X @ coefficients
     if rank < X.shape[1]:
         return 0.0, math.inf
-    # what counts as one sample is counted on what moves the share
+    # the correlation of the noise is measured on the terms that determine the share
     inflation = coloured_inflation([rest * X[:, 0]], rate_hz)
     variance = float(rest @ rest) / len(rest) * inflation
     return float(coefficients[0]), math.sqrt(variance * float(np.linalg.inv(X.T @ X)[0, 0]))

@@ -32,16 +32,16 @@ if TYPE_CHECKING:
 TRUTH_DASHES = (0, (4, 2))
 BAND_ALPHA = 0.22
 DOUBT_ALPHA = 0.3
-# the two differ in lightness too, for those who see no difference in hue
+# the two differ in lightness too, for people who see no difference in hue
 SPAN_ALPHA: dict[str, float] = {"warning": 0.25, "critical": 0.42}
 UNWATCHED_ALPHA = 0.6
 UNWATCHED_HATCH = "//////"
-# where an estimate leaves its panel, at most so many marks say so
+# most marks at a panel's edge for estimates outside the panel
 BEYOND_MARKS = 80
 
-# letters of a name that the margin beside a panel holds
+# letters of a name that fit into the margin beside a panel
 LONGEST_NAME = 24
-# as many whatever the panel's height, else the layout leaves room for other labels than are drawn
+# ticks of a panel, whatever its height; otherwise the layout leaves room for labels that are not drawn
 TICKS = 4
 
 _LANES: Mapping[str, tuple[float, float, str]] = {
@@ -49,17 +49,17 @@ _LANES: Mapping[str, tuple[float, float, str]] = {
     "residuals": (-1.1, 1.1, f"residuals ({MODEL_UNIT}; right: {USUAL_PERCENT:g} % lie within)"),
     "inputs": (-0.075, 1.075, f"inputs ({MODEL_UNIT}; right: from … to)"),
 }
-"""Of a chart whose series have a lane each: what of its units a lane shows, chosen by eye, and what it is called."""
+"""For each chart with lanes: the range of its units that a lane shows, chosen by eye, and its title."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How a picture is drawn."""
+    """Appearance of a picture."""
 
     theme: Theme
     origin_ns: int  # zero of the axis of time, vehicle's clock
     end_s: float  # its end
-    prefix: str = ""  # what the panels' titles begin with
+    prefix: str = ""  # begin of the panels' titles
 
 
 def draw_alarms(panel: Axes, look: Look, spans: Sequence[AlarmSpan]) -> None:
@@ -79,7 +79,7 @@ def draw_alarms(panel: Axes, look: Look, spans: Sequence[AlarmSpan]) -> None:
 
 
 def alarm_lanes(spans: Sequence[AlarmSpan]) -> list[tuple[str, str]]:
-    """Return observer and channel of all alarms, in the order of their first."""
+    """Return observer and channel of all alarms, in the order of their first alarm."""
     return list(dict.fromkeys((span.observer, span.channel) for span in spans))
 
 
@@ -105,9 +105,9 @@ def draw_fault(panel: Axes, look: Look, chart: Chart) -> None:
 
 
 def draw_lanes(panel: Axes, look: Look, chart: Chart, covered: Sequence[Mapping[str, Any]] = ()) -> None:
-    """Draw the series of a chart one below the other, with what each one's lane shows, and where alarms were.
+    """Draw the series of a chart below each other, with the range of each lane, and shade the alarms.
 
-    Those among ``covered`` are shaded and named.
+    The alarms among ``covered`` are shaded and named.
     """
     colours = {"channels": look.theme.estimate, "residuals": look.theme.residual}
     low, high, name = _LANES[chart.title]
@@ -142,12 +142,12 @@ def draw_heading(panel: Axes, look: Look, text: str) -> None:
 
 
 def _name(panel: Axes, look: Look, text: str) -> None:
-    """Write over a panel what it shows."""
+    """Write a panel's title."""
     panel.set_title(printable(look.prefix + text), loc="left", size=8, pad=2.5)
 
 
 def _cover(panel: Axes, look: Look, areas: Sequence[Mapping[str, Any]]) -> None:
-    """Shade where alarms were active; one that still is was to the end."""
+    """Shade the spans in which alarms were active; an alarm that is still active lasts to the end."""
     for area in areas:
         colour, end_s = look.theme.severity[area["severity"]], area["to"]
         end_s = look.end_s if end_s is None else end_s
@@ -156,7 +156,7 @@ def _cover(panel: Axes, look: Look, areas: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _numbers(series: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Return a series of a chart, NaN where there is nothing."""
+    """Return a series of a chart, NaN for missing values."""
     return np.array(series["y"], np.float64)
 
 
@@ -168,7 +168,7 @@ def _label_lanes(panel: Axes, labels: Sequence[str]) -> None:
 
 
 def _short(name: str, longest: int = LONGEST_NAME) -> str:
-    """Return a name that cannot squeeze the panels."""
+    """Return a name that is short enough to leave the panels their width."""
     name = printable(name)
     return name if len(name) <= longest else name[: longest - 1] + "…"
 
@@ -188,7 +188,7 @@ def _shade(panel: Axes, look: Look, chart: Chart) -> None:
 
 
 def _mark_beyond(panel: Axes, look: Look, chart: Chart, estimate: NDArray[np.float64]) -> None:
-    """Mark at the panel's edge where an estimate that alarms could be raised from lies beyond it."""
+    """Mark at the panel's edge where an estimate that could raise alarms is outside the panel."""
     times_s, (low, high) = np.array(chart.content["x"]), chart.content["limits"]
     watched = np.ones(len(times_s), np.bool_)
     for start_s, stop_s in chart.content["unwatched"]:
@@ -224,12 +224,13 @@ TITLE_LETTERS = 105
 BINS = 6000
 """Bins of a chart's series. Chosen: each of four has more than a picture of 8 in at 160 dpi has pixels across."""
 SAME_CLOCK_NS = 1_000_000_000
-"""Chosen: logs of one flight agree to milliseconds, two flights are minutes apart."""
+"""Largest difference of two equal clocks. Chosen: logs of one flight agree to milliseconds, two flights are minutes
+apart."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """A panel to come: its height without its title, what draws it, and whether it gives way on a full page."""
+    """A panel to draw: its height without its title, its drawing function, and whether it may shrink on a full page."""
 
     height_in: float
     draw: Callable[[Axes], None]
@@ -239,15 +240,15 @@ class _Row:
 def plot_png(path: str | os.PathLike[str], run: RunView, title: str = "", *, dark: bool = False) -> None:
     """Draw a run as a PNG, 8 inches wide; up to 16 high, panels of faults shrink to 0.4 before it grows beyond.
 
-    Per observer, under its name where there are several: a panel for each fault channel that had an alarm or whose
+    Each observer has, under its name if there are several: a panel for each fault channel that had an alarm or whose
     truth is known, with its estimate within two standard deviations, its alarm threshold as a dotted band, the truth
     dashed, and its alarms as shaded spans; one panel of lanes for the quiet channels, each over its own threshold; then
-    the residuals and the inputs in lanes, each over its own size, where alarms were raised those of their observers
-    alone. Where all observers together have few channels, each
-    has its panel. Where several channels had alarms, lanes at the top say when. An observer without any sample has no
-    panel. Time counts from the first sample; the axis says when that was. Where no alarm could be raised, gaps between
-    samples among it, panels are hatched, and what is drawn there sets no scale; an estimate beyond its panel is marked
-    at the edge. Long recordings are drawn as the envelope of their smallest and largest values: no peak is lost.
+    the residuals and the inputs in lanes, each over its own size. If alarms were raised, only their observers show
+    residuals and inputs. If all observers together have few channels, each channel has its panel. If several channels
+    had alarms, lanes at the top show their times. An observer without any sample has no panel. Time counts from the
+    first sample, whose time the axis gives. Panels are hatched where no alarm could be raised (also in gaps between
+    samples); values there do not affect the scale. An estimate outside its panel is marked at the edge. Long recordings
+    are drawn as the envelope of their smallest and largest values: no peak is lost.
     """
     theme, run = DARK if dark else LIGHT, in_display_units(run)
     with _drawing(_style(theme)):
@@ -259,7 +260,7 @@ def _drawing(style: Mapping[str, Any]) -> Iterator[None]:
     from matplotlib import rc_context
 
     with rc_context(dict(style)), warnings.catch_warnings():
-        # a name may be written in letters that the font lacks: it is drawn as boxes
+        # letters that the font lacks are drawn as boxes
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
 
@@ -271,7 +272,7 @@ def _style(theme: Theme) -> dict[str, Any]:
 
 
 def run_figure(run: RunView, title: str, theme: Theme) -> Figure:
-    """Return the drawn page of a run in the units that people say."""
+    """Return the drawn page of a run, in the units that people use."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -280,7 +281,7 @@ def run_figure(run: RunView, title: str, theme: Theme) -> Figure:
     run = run._replace(traces=[trace for trace in run.traces if len(trace.vehicle_ns)])
     traces, look = run.traces, Look(theme, origin_ns(run.traces), end_s(run.traces))
     chosen = choose_panels([trace.layout for trace in traces], alarmed, run.truth, run.thresholds)
-    # beside observers with alarms of others the channels alone: so the alarms are large
+    # if some observers had alarms, the others show only their channels, so that the panels with alarms are large
     observers = {trace.layout.observer for trace in traces}
     whole = {observer for observer, _ in alarmed} & observers or observers
     rows = [
@@ -312,7 +313,7 @@ def run_figure(run: RunView, title: str, theme: Theme) -> Figure:
 
 
 def _since(traces: Sequence[Trace], origin_ns: int) -> str:
-    """Return the label of the axis of time, which says when its zero was."""
+    """Return the label of the time axis, with the time of its zero."""
     first = min(traces, key=lambda trace: int(trace.vehicle_ns[0]))
     label = f"time (s) since {utc(int(first.unix_ns[0]))}"
     if abs(int(first.unix_ns[0]) - origin_ns) < SAME_CLOCK_NS:
@@ -326,7 +327,7 @@ def _draw_nothing(panel: Axes) -> None:
 
 
 def _heights(rows: Sequence[_Row]) -> list[float]:
-    """Return the panels' heights; on a full page those of faults give way, lanes would run into each other."""
+    """Return the panels' heights; on a full page the panels of faults shrink, because lanes would overlap."""
     faults = sum(row.shrinks for row in rows)
     others = sum(row.height_in for row in rows if not row.shrinks) + TITLE_IN * len(rows) + ENDS_IN
     fault_in = min(max((HIGHEST_IN - others) / max(faults, 1), LEAST_FAULT_IN), FAULT_IN)
@@ -346,7 +347,7 @@ def _rows(run: RunView, trace: Trace, panels: Panels, look: Look, *, whole: bool
     quiet = [layout.faults[place] for place in panels.together]
     for chart in observer_charts(run, trace, quiet, BINS):
         if whole or chart.title == "channels":
-            # an alarm that is about no fault channel, such as an unexplained residual, is shown here
+            # an alarm without a fault channel, such as an unexplained residual, is shown here
             spans = chart.content["spans"] if chart.title == "residuals" else ()
             covered = [span for span in spans if span["channel"] not in layout.faults]
             draw = partial(draw_lanes, look=look, chart=chart, covered=covered)
@@ -365,7 +366,7 @@ def _draw_legend(
     chosen: Sequence[Panels],
     spans: Sequence[AlarmSpan],
 ) -> None:
-    """Say once, above all panels, what the marks of the fault panels mean."""
+    """Draw one legend above all panels, which explains the marks of the fault panels."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

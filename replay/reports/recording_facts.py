@@ -1,4 +1,4 @@
-"""What a recording holds, measured while it is read: how often each message came, and where it failed to."""
+"""The content of a recording, measured while it is read: how often each message came, and its gaps."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from adapters.batch import Batch
 from adapters.source import Source
 
 GAP_S = 0.5
-"""A silence that observers restart after (monitor/sampling)."""
+"""Shortest gap, seconds: observers restart after such a silence (monitor/sampling)."""
 GAP_PERIODS = 10.0
-"""A gap is longer than both: rare messages are no gaps, nor is the jitter of frequent ones."""
+"""Shortest gap, periods of the message. A gap exceeds both limits: rare messages have no gaps, nor has the jitter of
+frequent ones."""
 MOST_GAPS = 1000
-"""Chosen: more gaps make no better report; the memory for them has to end."""
+"""Gaps that are kept of a message. Chosen: more of them do not improve the report, and their memory has to be
+bounded."""
 
 _PERIODS_KEPT = 2000
-"""Chosen: enough for the usual period of a message, its median."""
+"""Periods that are kept of a message. Chosen: they suffice for its usual period, the median."""
 StreamKey = tuple[Source, str, int, int]
 
 
@@ -28,7 +30,7 @@ class Gap:
     """Time without a message that comes regularly."""
 
     start_ns: int  # Unix time of the last message before it
-    seconds: float  # how long it was
+    seconds: float  # its duration
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,20 +38,20 @@ class StreamFacts:
     """One message of one sender."""
 
     source: Source
-    name: str  # as of :class:`adapters.message.Message`
+    name: str  # as in :class:`adapters.message.Message`
     # MAVLink ids of the sender
     system: int
     component: int
-    count: int  # how many there were
-    rate_hz: float  # how many per second there were outside of gaps; 0 where there was but one
-    gaps: tuple[Gap, ...]  # where it failed to come, the first :data:`MOST_GAPS`
+    count: int  # number of messages
+    rate_hz: float  # messages per second outside of gaps; 0 if there was only one message
+    gaps: tuple[Gap, ...]  # its gaps, the first :data:`MOST_GAPS`
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingFacts:
     """A recording."""
 
-    # Unix times of the first and the last arrival, None where there was no message
+    # Unix times of the first and the last arrival, None if there was no message
     first_ns: int | None
     last_ns: int | None
     streams: tuple[StreamFacts, ...]  # its messages by name and sender
@@ -61,7 +63,7 @@ class RecordingFacts:
 
     @property
     def rates(self) -> dict[str, float]:
-        """Messages per second by name, of the sender that sent most often."""
+        """Messages per second by name, of the sender with the highest rate."""
         rates: dict[str, float] = {}
         for stream in self.streams:
             rates[stream.name] = max(rates.get(stream.name, 0.0), stream.rate_hz)
@@ -74,7 +76,7 @@ class RecordingFacts:
 
 
 class RecordingMeter:
-    """Measures a recording that passes by, in memory that does not grow with it."""
+    """Measures a recording while its batches pass, in memory that does not grow with the recording."""
 
     def __init__(self) -> None:
         self._streams: dict[StreamKey, _Stream] = {}
@@ -91,7 +93,7 @@ class RecordingMeter:
             yield batch
 
     def facts(self) -> RecordingFacts:
-        """Return what was measured so far."""
+        """Return the measurements so far."""
         ordered = sorted(self._streams.items(), key=lambda entry: (entry[0][0].name, *entry[0][1:]))
         streams = [(key, stream) for key, stream in ordered if stream.count]
         return RecordingFacts(
@@ -105,7 +107,7 @@ class RecordingMeter:
 
 
 class _Stream:
-    """Times of arrival of one message, each looked at once."""
+    """Arrival times of one message, each processed once."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -120,11 +122,11 @@ class _Stream:
         return (self.count - 1 - len(gaps)) / seconds if seconds > 0 else 0.0
 
     def gaps(self) -> tuple[Gap, ...]:
-        # the first ones were found before it was known how often the message comes
+        # the first gaps were found before the message's usual period was known
         return tuple(gap for gap in self._gaps if gap.seconds * 1e9 > GAP_PERIODS * self._usual_ns)
 
     def add(self, times: NDArray[np.int64]) -> None:
-        """Measure the next times of arrival."""
+        """Measure the next arrival times."""
         if not len(times):
             return
         if not self.count:

@@ -1,4 +1,4 @@
-"""The report of a run as one HTML file: what was found, how sure, what could not be checked, and what it rests on."""
+"""The report of a run as one HTML file: its findings, their certainty, what could not be checked, and their basis."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from replay.reports.verdict import run_sentence, said_about, span_text
 from replay.review.facts.log_facts import LogFacts, LogSignal
 
 _MAP_PX = 640
-"""Units of the map's own, a side; it is drawn as wide as the page. Chosen: then one is about a pixel."""
+"""Width and height of the map in its own units; it is drawn as wide as the page. Chosen: a unit is about a pixel."""
 _MARGIN_PX = 24
-"""Chosen by eye."""
+"""Margin of the map, in its units. Chosen by eye."""
 _LEAST_M = 20.0
-"""Chosen: a hover drawn larger would show the receiver's noise as a way."""
+"""Smallest side of the map. Chosen: a hover drawn larger would show the receiver's noise as a flight path."""
 _MOST_LINES = 200
-"""Chosen: some pages of text; a log that says more is read with other tools."""
+"""Lines of text from a log. Chosen: some pages; for a log with more lines other tools are better."""
 _BARS = (1.0, 2.0, 5.0)
-"""Lengths of the bar that shows the scale, times powers of ten: round ones."""
+"""Lengths of the scale bar, times powers of ten: round ones."""
 
 
 def flight_parts(facts: LogFacts, alarms: Sequence[AlarmSpan], charts: Charts, zero_s: float) -> Iterator[Html]:
-    """Yield a map of the way, a chart of height with modes, and a table of what was said.
+    """Yield a map of the flight path, a chart of height with modes, and a table of the texts.
 
     ``zero_s`` is the zero of the charts' time, in seconds since the log's begin.
     """
@@ -88,7 +88,7 @@ def _height_chart(
 
 
 def _map(way: LogSignal, spans: Sequence[tuple[float, float, str]]) -> Html:
-    """Return the way seen from above, north up, with the stretches of alarms over it."""
+    """Return the flight path seen from above, north up, with its parts during alarms."""
     places = way.values[:, :2]
     known = np.isfinite(places).all(axis=1)
     times_s, places = way.time_s[known], places[known]
@@ -120,7 +120,7 @@ def _line(x: NDArray[np.float64], y: NDArray[np.float64], name: str) -> Html:
 
 _WATCHED_HEADS = ("channel", "largest", "alarm from", "alarms", "what it sees", "threshold rests on")
 _MOST_SAID = 5
-"""Chosen: a failsafe comes with two or three texts; what repeats says no more."""
+"""Texts of the autopilot for one alarm. Chosen: a failsafe comes with two or three texts; repeated ones add nothing."""
 _CHECKS: Mapping[str, str] = {
     r"motor\d+": "that motor's propeller (chipped, loose, wrong way up), its ESC and connectors, then its bearings; a "
     "payload off the middle, or an arm bent, looks alike on every flight",
@@ -148,7 +148,7 @@ _CHECKS: Mapping[str, str] = {
     r"unexplained": "what the other charts show at that time: a gust, a collision, two faults at once, or a vehicle "
     "changed since its profile was fitted",
 }
-"""What a person should look at first where a channel had an alarm."""
+"""First things for a person to check after an alarm of a channel."""
 _LIBRARIES = ("numpy", "scipy", "pymavlink", "mcap", "matplotlib")
 
 
@@ -157,19 +157,19 @@ class Run:
     """A run to report on."""
 
     profile: Profile
-    folder: Path  # where it stands
+    folder: Path  # the profile's folder
     log: Path
     vehicle: str
-    verdict: str  # what was found, in a sentence
-    replay: Replay  # what came out, with traces
-    recording: RecordingFacts  # what went in
-    damage: tuple[Damage, ...] = ()  # what of the recording could not be read
-    truth: TrueSizes = field(default_factory=dict)  # what is known to have been injected, by channel
-    facts: LogFacts | None = None  # what the log states of the flight; None where it is no autopilot's
+    verdict: str  # the findings, in a sentence
+    replay: Replay  # results, with traces
+    recording: RecordingFacts  # facts about the replayed recording
+    damage: tuple[Damage, ...] = ()  # unreadable parts of the recording
+    truth: TrueSizes = field(default_factory=dict)  # true sizes of the injected faults, by channel
+    facts: LogFacts | None = None  # statements of the log about the flight; None if it is not an autopilot's log
 
 
 def write_report(path: str | os.PathLike[str], run: Run) -> None:
-    """Write the report of a run: one HTML file with charts that answer to the pointer; it loads nothing."""
+    """Write the report of a run: one HTML file with charts that react to the pointer; it loads no other file."""
     write_file(path, recording_report(run))
 
 
@@ -254,7 +254,7 @@ def _nothing_found(run: Run, watched: Sequence[WatchedChannel]) -> str:
 
 
 def _blind(replay: Replay) -> list[str]:
-    """Return the observers that watched nothing: without them, no alarm is no good news."""
+    """Return the observers that watched nothing: for them, the lack of an alarm is no good news."""
     return [name for name, watch in replay.watches.items() if not watch.evidence]
 
 
@@ -280,12 +280,12 @@ def _of_finding(run: Run, finding: Finding) -> Iterator[tuple[str, object]]:
 
 
 def _what_to_check(channel: str) -> str:
-    """Return what to look at first where a channel had an alarm; empty where nobody can say."""
+    """Return the first things to check after an alarm of a channel; empty if none are known."""
     return next((words for pattern, words in _CHECKS.items() if re.fullmatch(pattern, channel)), "")
 
 
 def _size_of(finding: Finding) -> str | None:
-    """Return the size that an alarm is given everywhere on the page, with its uncertainty where that is known."""
+    """Return an alarm's size as the whole page shows it, with its uncertainty if that is known."""
     if finding.size is None:
         return finding.largest.display or None
     said = fault_text(finding.alarm.channel, finding.size, finding.relative, finding.largest.unit)
@@ -296,7 +296,7 @@ def _size_of(finding: Finding) -> str | None:
 
 
 def _flight(run: Run, results: Sequence[Finding], charts: Charts) -> Iterator[Html]:
-    """Yield the flight as the log states it: the way on the ground, height, modes and texts."""
+    """Yield the flight according to the log: the path over ground, height, modes and texts."""
     if run.facts is None:
         return
     first = min(

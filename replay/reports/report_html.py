@@ -1,4 +1,4 @@
-"""The parts of a page that needs nothing but itself: escaped text, tables, lists, its frame."""
+"""The parts of a self-contained page: escaped text, tables, lists, the page's frame."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ class Html(str):
 
 
 def html_text(value: object) -> Html:
-    """Return a text escaped, without control characters: names come from outside."""
+    """Return a text escaped, without control characters: names come from untrusted sources."""
     return value if isinstance(value, Html) else Html(escape(printable(str(value))))
 
 
 def element(tag: str, *content: object, **attributes: str) -> Html:
     """Return an element; content that is not :class:`Html` is escaped.
 
-    In names of attributes ``_`` stands for ``-``, at the end for nothing.
+    In names of attributes ``_`` stands for ``-``, and a final ``_`` is dropped.
     """
     said = "".join(f' {name.rstrip("_").replace("_", "-")}="{html_text(value)}"' for name, value in attributes.items())
     return Html(f"<{tag}{said}>{joined_html(content)}</{tag}>")
 
 
 def joined_html(parts: Iterable[object]) -> Html:
-    """Return parts one behind the other, escaped where they are no :class:`Html`."""
+    """Return parts joined together, escaped unless they are :class:`Html`."""
     return Html("".join(map(html_text, parts)))
 
 
 def facts(pairs: Iterable[tuple[str, object]]) -> Html:
-    """Return names and what they are."""
+    """Return a list of names and their values."""
     return element("dl", *(part for name, value in pairs for part in (element("dt", name), element("dd", value))))
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[object]], numbers: Sequence[int] = ()) -> Html:
-    """Return a table; the columns at ``numbers`` are set to the right."""
+    """Return a table; the columns at ``numbers`` are aligned right."""
 
     def cells(tag: str, row: Sequence[object]) -> Iterable[Html]:
         return (
@@ -64,12 +64,12 @@ def section(title: str, *content: object) -> Html:
 
 
 def folded(title: str, *content: object) -> Html:
-    """Return a section that opens where its title is clicked; it is open on paper."""
+    """Return a section that opens with a click on its title; it is open on paper."""
     return element("details", element("summary", title), *content)
 
 
 def page(title: str, *content: object, charts: str = "[]") -> Html:
-    """Return the whole page: it may load nothing, and run nothing but what draws its ``charts`` (JSON)."""
+    """Return the whole page: it may load nothing, and run only the script that draws its ``charts`` (JSON)."""
     scripts = [read_uplot("uPlot.iife.min.js"), Path(__file__).with_name("report.js").read_text()]
     if charts == "[]":
         scripts = []
@@ -105,7 +105,7 @@ def _style() -> str:
 
 
 def colour_variables(theme: Theme) -> dict[str, str]:
-    """Return a theme's colours by the names of CSS variables; none occurs twice."""
+    """Return a theme's colours by the names of CSS variables; no name occurs twice."""
     names = {"--paper": theme.paper, "--ink": theme.ink, "--muted": theme.muted}
     series = {f"--series{index}": colour for index, colour in enumerate(theme.series) if colour != theme.ink}
     return names | series

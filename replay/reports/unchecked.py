@@ -1,4 +1,4 @@
-"""What a run could not check, and why: the part of a verdict that silence hides."""
+"""Everything that a run could not check, and why: without it, no alarm would look like no fault."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from replay.reports.findings import Finding
 from replay.reports.recording_facts import RecordingFacts
 
 _MOST_GAPS_NAMED = 5
-"""Chosen: what fits in a sentence."""
+"""Gaps that are named. Chosen: they fit in a sentence."""
 
 
 class Unchecked(NamedTuple):
@@ -32,7 +32,7 @@ def unchecked(
     found: Sequence[Finding],
     damage: Sequence[Damage] = (),
 ) -> list[Unchecked]:
-    """Return what a run could not check, the gravest first, from what went in (facts, damage) and what came out."""
+    """Return what a run could not check, the gravest first, from the recording (facts, damage) and the results."""
     return [
         *([Unchecked("all results", replay.mismatch)] if replay.mismatch else []),
         *(Unchecked(f"{seconds:.0f} s in flight", why) for why, seconds in replay.unwatched(facts.last_ns or 0)),
@@ -56,7 +56,7 @@ def unchecked(
 def _observer(
     profile: Profile, observer: ObserverProfile, replay: Replay, facts: RecordingFacts
 ) -> Iterator[Unchecked]:
-    """Say where an observer watched nothing, or not all of the time."""
+    """Report an observer that watched nothing, or only part of the time."""
     watch, channels = replay.watches[observer.name], _and([rule.channel for rule in observer.alarms])
     if lacks := replay.lacking.get(observer.name):
         yield Unchecked(f"{observer.name} ({channels})", f"the recording has no {_and(lacks)}")
@@ -89,7 +89,7 @@ def _phase(profile: Profile) -> str:
 
 
 def _bridged(observer: ObserverProfile, watch: Watch) -> Iterator[Unchecked]:
-    """Say where measurements were lost."""
+    """Report where measurements were lost."""
     if watch.coasted:
         share = 100.0 * watch.coasted / watch.samples
         yield Unchecked(
@@ -109,7 +109,7 @@ def _bridged(observer: ObserverProfile, watch: Watch) -> Iterator[Unchecked]:
 
 
 def _interpolated(observer: ObserverProfile, facts: RecordingFacts) -> Iterator[Unchecked]:
-    """Say which messages come much more seldom than the observer samples."""
+    """Report messages that come much more rarely than the observer samples."""
     rates = facts.rates
     spans = spanned(observer.source, observer.rate_hz, rates)
     if spans and not unfitted(observer.source, observer.rate_hz, rates):
@@ -123,7 +123,7 @@ def _interpolated(observer: ObserverProfile, facts: RecordingFacts) -> Iterator[
 
 
 def _gaps(facts: RecordingFacts) -> Iterator[Unchecked]:
-    """Name the messages that failed to come, the longest gaps first."""
+    """Report the gaps of messages, the longest first."""
     gaps = [(gap.seconds, stream.name) for stream in facts.streams for gap in stream.gaps]
     gaps.sort(reverse=True)
     if gaps:
@@ -140,7 +140,7 @@ def _without_alarm(observer: ObserverProfile) -> Iterator[Unchecked]:
 
 
 def _together(observer: ObserverProfile) -> Iterator[Unchecked]:
-    """Say which faults are told apart only one at a time."""
+    """Report the faults that can be isolated only one at a time."""
     names = [fault.name for fault in observer.faults]
     rule = observer.isolation
     for group in _exclusive(names, rule.hypotheses) if isinstance(rule, BankRule) else ():
@@ -152,7 +152,7 @@ def _together(observer: ObserverProfile) -> Iterator[Unchecked]:
 
 
 def _exclusive(names: Sequence[str], hypotheses: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return groups of faults of which no two, or not all, stand in one hypothesis together."""
+    """Return groups of faults that no hypothesis contains together, pair by pair."""
     groups: list[set[str]] = []
     for pair in combinations(names, 2):
         if any(set(pair).issubset(hypothesis) for hypothesis in hypotheses):
@@ -163,7 +163,7 @@ def _exclusive(names: Sequence[str], hypotheses: Sequence[Sequence[str]]) -> lis
 
 
 def _excused(profile: Profile, found: Sequence[Finding]) -> Iterator[Unchecked]:
-    """Say which channels were not believed while another alarm explained them."""
+    """Report the channels whose evidence was excused by another alarm."""
     raised = {finding.alarm.channel for finding in found}
     for rule in profile.excuses:
         causes = [name for name in rule.by if name in raised]

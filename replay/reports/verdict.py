@@ -1,4 +1,4 @@
-"""What a run found, in one sentence for somebody who reads no other."""
+"""The result of a run in one sentence, for readers of this sentence alone."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from replay.review.facts.reading import read_facts
 WARNING_LEVEL = 4
 """Severity of a text up to which it is a warning or worse: MAV_SEVERITY_WARNING."""
 AFTER_S = 10.0
-"""What the autopilot says within so many seconds of an alarm's end is about it. Chosen: its failsafes wait some seconds
-before they speak (PX4's COM_FAIL_ACT_T is 5 s)."""
+"""Texts of the autopilot up to so many seconds after an alarm's end belong to it. Chosen: failsafes wait some seconds
+before they act (PX4's COM_FAIL_ACT_T is 5 s)."""
 
 
 def stated_facts(log: Path) -> LogFacts | None:
-    """Return what a log states of the flight; None where it is no autopilot's, or states nothing."""
+    """Return the statements of a log about the flight; None if it is not an autopilot's log, or is unreadable."""
     try:
         facts, _ = read_facts(log)
     except FauioError:
@@ -29,9 +29,9 @@ def stated_facts(log: Path) -> LogFacts | None:
 
 
 def run_sentence(results: Sequence[Finding], facts: LogFacts | None) -> str:
-    """Return what happened, from the alarm that matters most: the first of the most severe.
+    """Return a sentence about the most important alarm: the first one of the highest severity.
 
-    ``facts`` are what the log states, None where it is no log of an autopilot.
+    ``facts`` are the statements of the log, None if it is not an autopilot's log.
     """
     worst = "critical" if any(result.alarm.severity == "critical" for result in results) else "warning"
     main = next(result for result in results if result.alarm.severity == worst)
@@ -41,10 +41,10 @@ def run_sentence(results: Sequence[Finding], facts: LogFacts | None) -> str:
 
 
 def alarm_summary(finding: Finding) -> str:
-    """Return a line about one alarm: when, where, how grave, what, two standard deviations of its size, its peak."""
+    """Return a line about one alarm: time, channel, severity, message, two standard deviations of its size, peak."""
     alarm, event = finding.alarm, finding.largest
     end = "to the end" if alarm.end_ns is None else f"to {utc(alarm.end_ns)[11:19]}"
-    # a lost effect is no fixed share of its estimate
+    # a lost effect is not a fixed share of its estimate
     steady = finding.relative is not None and finding.effect is None
     share = (finding.relative or 0.0) / finding.size if steady and finding.size else None
     peak = max((event.peak for event in alarm.history if event.peak is not None), key=abs, default=None)
@@ -70,7 +70,7 @@ def _autopilot(finding: Finding, facts: LogFacts | None) -> str:
         return ""
     if said := said_about(finding, facts):
         return f"; the autopilot said “{said[0].text}”"
-    # silence is told only of a log that says how severe its texts are
+    # silence of the autopilot means something only if the log has the severity of its texts
     severe = any(text.kind == "text" and text.level < UNKNOWN_LEVEL for text in facts.statements)
     return "; the autopilot said nothing" if severe else ""
 
@@ -90,7 +90,7 @@ def said_about(finding: Finding, facts: LogFacts) -> list[Statement]:
 
 
 def span_text(seconds: float) -> str:
-    """Return a duration as people say it."""
+    """Return a duration for people."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)

@@ -1,4 +1,4 @@
-"""Replay as if live: messages when they are due, a monitor's output on Zenoh, the packets themselves over UDP."""
+"""Replay as if live: messages at their times, a monitor's output on Zenoh, the packets themselves over UDP."""
 
 from __future__ import annotations
 
@@ -31,18 +31,19 @@ if TYPE_CHECKING:
     import zenoh
 
 _BATCH_NS = 20_000_000
-"""What a daemon's links collect before they hand it over, unless configured otherwise: ``batch_ms``."""
+"""Time over which a daemon's links collect a batch, by default: ``batch_ms``."""
 _SUBSCRIBER_S = 2.0
-"""Chosen: subscribers have to be discovered before the first event; on a network that takes part of a second."""
+"""Longest wait for subscribers, seconds. Chosen: Zenoh has to discover them before the first event, which takes part of
+a second on a network."""
 
 
 class LiveReplay:
-    """Lets a replay out into the world: use it as a context, for one log after the other.
+    """Sends a replay to the network; it is a context, for one log after the other.
 
-    ``speed`` is in times real time, by the times of arrival; None: as fast as possible. Without Zenoh endpoints to
-    connect to or to listen on nothing is published. Packets of telemetry logs go to ``udp``, ``udp:HOST:PORT``. Raises
-    UsageError where the speed is not positive, TelemetryError where an address is not understood or the Zenoh session
-    cannot be opened.
+    ``speed`` is relative to real time, by the arrival times; None: as fast as possible. Without Zenoh endpoints to
+    connect to or to listen on, nothing is published. Packets of telemetry logs go to ``udp``, ``udp:HOST:PORT``. Raises
+    UsageError if the speed is not positive, TelemetryError if an address is malformed or the Zenoh session cannot be
+    opened.
     """
 
     def __init__(
@@ -72,11 +73,11 @@ class LiveReplay:
             self._closers = stack.pop_all()
 
     def batches(self, profile: Profile, task: LogTask, vehicle: str | None) -> Iterator[Batch]:
-        """Return all messages of a log, 20 ms of them when the last is due, after what they led to was published.
+        """Return all messages of a log in batches of 20 ms, each when its last message is due and its results are out.
 
-        A monitor of its own takes them first: what it says is published with the keys and payloads of the daemon, the
-        status once a second of the log's time. It begins when somebody subscribes to alarms, at the latest after 2 s.
-        Raises UsageError where the log cannot be read, or packets are to be sent and it holds none.
+        A separate monitor processes them first: its output is published with the keys and payloads of the daemon, the
+        status once a second of the log's time. The replay begins when somebody subscribes to alarms, at the latest
+        after 2 s. Raises UsageError if the log cannot be read, or packets are to be sent and the log has none.
         """
         only = None if task.record else interests(profile)
         source: Iterable[tuple[int, Batch | bytes]] = _as_links_collect(read_batches(task.path, only))
@@ -98,7 +99,7 @@ class LiveReplay:
         self.close()
 
     def _sent(self, items: Iterable[Batch | bytes]) -> Iterator[Batch]:
-        """Send the packets among items, return the batches."""
+        """Send the packets among the items, return the batches."""
         for item in items:
             if not isinstance(item, bytes):
                 yield item
@@ -135,7 +136,7 @@ class LiveReplay:
 
 
 def _as_links_collect(batches: Iterable[Batch]) -> Iterator[tuple[int, Batch]]:
-    """Return batches as a daemon gets them, each with the arrival of its last message."""
+    """Return batches as a daemon receives them, each with the arrival time of its last message."""
     for batch in batches:
         times_ns = arrival_times(batch)
         ends = np.flatnonzero(np.diff(times_ns // _BATCH_NS)) + 1
@@ -144,7 +145,7 @@ def _as_links_collect(batches: Iterable[Batch]) -> Iterator[tuple[int, Batch]]:
 
 
 def _await_subscriber(session: zenoh.Session, key: str) -> None:
-    """Give those who wait for this session to come up the time to connect."""
+    """Wait until a subscriber has connected to this session, for a limited time."""
     until = time.monotonic() + _SUBSCRIBER_S
     with session.declare_publisher(key) as probe:
         # Zenoh's type stub calls the status a bool; it is an object
@@ -153,6 +154,6 @@ def _await_subscriber(session: zenoh.Session, key: str) -> None:
 
 
 def _since(received_ns: int) -> Callable[[Sequence[int]], list[int]]:
-    """Return what tells ages by a clock that stands at a log's time now and goes on."""
+    """Return a function that computes ages on a clock that now shows a log's time and continues from there."""
     behind_ns = received_ns - time.monotonic_ns()
     return lambda times_ns: [time.monotonic_ns() + behind_ns - one for one in times_ns]

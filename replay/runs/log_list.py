@@ -1,4 +1,4 @@
-"""Which recordings the arguments of a command name, and which file each of them is to be written to."""
+"""The recordings that the arguments of a command name, and the file that is written about each of them."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class LogFile:
     """A recording."""
 
     path: Path  # file, or folder of a session
-    # what files about it are called: its own name without suffixes, with the folders below the one that was given; no
-    # two recordings of a list share it
+    # name for files about it: its own name without suffixes, with the folders below the given one; no two recordings of
+    # a list share a name
     name: str
 
 
@@ -29,7 +29,7 @@ def find_logs(arguments: Sequence[Path]) -> list[LogFile]:
 
     A file, and the folder of a recorded session, is one recording. Any other folder stands for all recordings in it and
     below, sorted by path; several MCAP files of one session in a folder are one recording there, too. Raises
-    TelemetryError where a file is missing or no recording, or a folder holds none.
+    TelemetryError if a file is missing or no recording, or a folder has none.
     """
     logs: list[LogFile] = []
     taken: set[str] = set()
@@ -39,7 +39,7 @@ def find_logs(arguments: Sequence[Path]) -> list[LogFile]:
             raise TelemetryError(f"{argument}: no recording in this folder or below")
         for path in paths:
             recording_kind(path)
-            # the folder that was given is left out of the name, unless it is the recording
+            # the given folder is left out of the name, unless it is the recording
             inside = path.relative_to(argument).parts or (path.name,)
             base = name = "_".join((*inside[:-1], _stem(path)))
             number = 1
@@ -52,11 +52,11 @@ def find_logs(arguments: Sequence[Path]) -> list[LogFile]:
 
 
 def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: bool) -> Path | None:
-    """Return the file to write about a log; None where nothing was asked for.
+    """Return the file to write about a log; None if none was asked for.
 
-    ``given`` is what the user gave to the option: a file; a folder, whose files have this suffix; or a name with
-    ``{log}`` in the log's name's place. Among many logs a name without suffix is a folder, too. Raises UsageError where
-    one file was given for several logs or its name says another kind, OSError where a folder cannot be made.
+    ``given`` is the user's value of the option: a file; a folder, whose files have this suffix; or a name with
+    ``{log}`` in place of the log's name. For several logs a name without suffix is a folder, too. Raises UsageError if
+    one file was given for several logs or its suffix is another, OSError if a folder cannot be made.
     """
     if given is None:
         return None
@@ -69,7 +69,7 @@ def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: b
             f"{option} {given}: takes one log at a time; give a folder, or a name with {PLACE} in it, for several"
         )
     else:
-        if Path(given) != log.path:  # which is refused for a better reason
+        if Path(given) != log.path:  # the log itself is refused later, for a better reason
             check_suffix(Path(given), suffix)
         return Path(given)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -77,9 +77,9 @@ def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: b
 
 
 def check_outputs(logs: Sequence[LogFile], targets: Sequence[Path], twice: str) -> None:
-    """Raise, before long work, where files could not be written, or one of them is one of the logs.
+    """Raise an error, before long work, if a file cannot be written, or is one of the logs.
 
-    UsageError with the text ``twice`` is raised where two have one name, else StorageError.
+    UsageError with the text ``twice`` is raised if two files have one name, otherwise StorageError.
     """
     if len({path.resolve() for path in targets}) < len(targets):
         raise UsageError(twice)
@@ -93,7 +93,7 @@ def check_outputs(logs: Sequence[LogFile], targets: Sequence[Path], twice: str) 
 
 
 def check_output(path: Path) -> None:
-    """Raise StorageError, before long work, where a file could not be written."""
+    """Raise StorageError, before long work, if a file could not be written."""
     if path.is_dir():
         raise StorageError(f"{path}: is a folder; name a file to write")
     if not path.parent.is_dir():
@@ -103,7 +103,7 @@ def check_output(path: Path) -> None:
 
 
 def check_output_folder(folder: Path) -> None:
-    """Raise StorageError, before long work, where a folder could be neither written to nor made."""
+    """Raise StorageError, before long work, if a folder could be neither written to nor made."""
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not there.is_dir():
         raise StorageError(f"{folder}: {there} is a file; name a folder to write")
@@ -112,14 +112,14 @@ def check_output_folder(folder: Path) -> None:
 
 
 def _below(folder: Path) -> list[Path]:
-    """Return the recordings in a folder and below; the folder itself where that is all there is."""
+    """Return the recordings in a folder and below; the folder itself if it is one recording."""
     paths = sorted(path for place, _, files in os.walk(folder) for path in _inside(Path(place), files))
-    # one file is a session, too, and named by its folder where that was named
+    # a single file is a session, too, named by its folder if the folder was given
     return [folder] if len(paths) == 1 and _session(folder) and paths[0].parent == folder else paths
 
 
 def _inside(folder: Path, names: Sequence[str]) -> Iterator[Path]:
-    """Return the recordings in a folder itself."""
+    """Return the recordings in a folder, without the folders below."""
     is_session = len(_session(folder)) > 1
     if is_session:
         yield folder

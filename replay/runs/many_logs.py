@@ -1,4 +1,4 @@
-"""Replay many logs in processes of their own: the same results in the same order, whatever becomes of a process."""
+"""Replay many logs in several processes, with the same results in the same order even if a process dies."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from monitor.profile import Profile
 from replay.runs.one_log import LogOutcome, LogTask, replay_log
 
 _CONNECT_S = 10
-"""Chosen: a scheduler that is there answers within a second, also over a slow network."""
+"""Longest wait for a scheduler, seconds. Chosen: a running scheduler answers within a second, even over a slow
+network."""
 _LEAST_AHEAD = 64
-"""Chosen: tasks that are handed out before the first is done, so that no core waits for the network."""
+"""Fewest tasks that are handed out before the first is done. Chosen: so that no core waits for the network."""
 _AHEAD_PER_CORE = 8
-"""Chosen: a log takes about a second; eight of them hide the latency of handing out more."""
+"""Tasks per core that are handed out in advance. Chosen: a log takes about a second; eight of them hide the latency of
+handing out more."""
 
 
 def replay_on_dask(profile: Profile, tasks: Sequence[LogTask], address: str) -> Iterator[LogOutcome]:
-    """Replay logs on the cluster of a scheduler, and return what was found in the order of the logs.
+    """Replay logs on the cluster of a scheduler, and return the results in the order of the logs.
 
-    Workers need this package in the same version and the paths of the tasks, which are absolute, and share nothing
-    else. A worker that dies is replaced by another; the log that kills them all fails alone. What is not done is taken
-    back when the iteration ends. Raises UsageError where Dask is not installed, TelemetryError where there is no
-    cluster.
+    Workers need the same version of this package and the tasks' paths, which are absolute, and share nothing else. A
+    worker that dies is replaced by another; a log that kills them all fails alone. Unfinished tasks are cancelled when
+    the iteration ends. Raises UsageError if Dask is not installed, TelemetryError if there is no cluster.
     """
     try:
         from distributed import Client
@@ -38,7 +39,7 @@ def replay_on_dask(profile: Profile, tasks: Sequence[LogTask], address: str) -> 
     except ImportError as error:
         raise UsageError("--dask: Dask is not installed; run: pip install 'fauio[dask]'") from error
     try:
-        get_address_host_port(address)  # a client that was not made for want of a port ends in a traceback of its own
+        get_address_host_port(address)  # a client without a port would fail with a traceback of its own
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split())
@@ -46,7 +47,7 @@ def replay_on_dask(profile: Profile, tasks: Sequence[LogTask], address: str) -> 
     waiting: deque[tuple[LogTask, Any]] = deque()
     with client:
         ahead = max(_LEAST_AHEAD, _AHEAD_PER_CORE * sum(client.ncores().values()))
-        # sent once, and again to whoever takes the place of a worker that died
+        # sent once, and again to the worker that replaces a dead one
         sent = client.submit(_sent, profile, pure=False)
         try:
             for task in tasks:
@@ -73,14 +74,14 @@ def _outcome(task: LogTask, future: Any) -> LogOutcome:
 
 
 def replay_in_processes(profile: Profile, tasks: Sequence[LogTask], jobs: int) -> Iterator[LogOutcome]:
-    """Replay logs in processes, and return what was found in the order of the logs.
+    """Replay logs in processes, and return the results in the order of the logs.
 
-    A process that dies fails its log alone. When the iteration ends, however it ends, so do all processes.
+    If a process dies, only its log fails. All processes end with the iteration, even if that fails.
     """
     own, before = threading.local(), set(active_children())
 
     def replayed(task: LogTask) -> LogOutcome:
-        # a process for each thread: one that dies would end all of a pool
+        # a process for each thread, since one that dies would end a whole pool
         if getattr(own, "pool", None) is None:
             own.pool = pools.enter_context(ProcessPoolExecutor(1, get_context("spawn")))
         try:
@@ -103,8 +104,8 @@ def replay_in_processes(profile: Profile, tasks: Sequence[LogTask], jobs: int) -
 
 @contextlib.contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
-    """Start processes that do not hear Ctrl-C, which reaches every process of a terminal: only the first shall act."""
-    # what multiprocessing starts beside the first process would undo that
+    """Start processes that ignore Ctrl-C, which reaches all processes of a terminal: only the first one reacts."""
+    # the process that multiprocessing starts beside the first one would undo that
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

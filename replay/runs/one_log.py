@@ -1,4 +1,4 @@
-"""Replay one log from file to files: what it found as one small object, its failure as one line."""
+"""Replay one log and write its files: its results as one small object, its failure as one line."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 
 FEW_ROWS = 200_000
-"""Estimates of each observer that are kept for the sizes of alarms. Chosen: 33 min at 100 Hz whole, in 100 MB; medians
-of longer flights come from every second, every fourth and so on."""
+"""Estimates of each observer that are kept for the sizes of alarms. Chosen: all of 33 min at 100 Hz, in 100 MB; medians
+of longer flights use every second, every fourth estimate and so on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,16 +42,16 @@ class LogTask:
 
     log: str  # the log as the user named it, for reports
     path: Path
-    vehicle: str | None = None  # name in events; None: as recorded by a monitor, else the profile's
+    vehicle: str | None = None  # vehicle's name in events; None: as a monitor recorded it, else the profile's
     # MCAP recording, plot, Rerun recording and page to write
     record: Path | None = None
     plot: Path | None = None
     rrd: Path | None = None
     report: Path | None = None
-    dark: bool = False  # whether to plot on a dark ground
-    mapping: Path | None = None  # from which records of an onboard log messages are made, where the guess is wrong
-    folder: Path | None = None  # the profile's, in which a report looks for the report of the fit
-    force: bool = False  # whether to go on where the vehicle says it is another than the profile's
+    dark: bool = False  # whether to plot on a dark background
+    mapping: Path | None = None  # file that maps an onboard log's records to messages, if the default mapping is wrong
+    folder: Path | None = None  # the profile's folder, in which a report looks for the report of the fit
+    force: bool = False  # whether to go on if the recording reports another vehicle than the profile's
 
     @property
     def targets(self) -> tuple[Path, ...]:
@@ -61,19 +61,19 @@ class LogTask:
 
 @dataclass(frozen=True, slots=True)
 class LogOutcome(Replay):
-    """What the replay of one log found, without its traces."""
+    """Result of the replay of one log, without its traces."""
 
     log: str = ""  # the log as the user named it
-    kind: str = ""  # kind of recording; empty where it is not known
-    error: str | None = None  # why the log could not be replayed, one line that names it; None where it could
-    verdict: str = ""  # how many alarms there were, and what was not watched, as a sentence
-    sentence: str = ""  # what happened, as a sentence; empty where nothing was found
-    alarms: tuple[str, ...] = ()  # a line for each alarm: from when to when, what, how much
-    # Unix times of the first and the last message that mattered, nanoseconds
+    kind: str = ""  # kind of recording; empty if unknown
+    error: str | None = None  # why the log could not be replayed, one line with the log's name; None: it was replayed
+    verdict: str = ""  # sentence with the number of alarms and what was not watched
+    sentence: str = ""  # sentence about what happened; empty if nothing was found
+    alarms: tuple[str, ...] = ()  # a line for each alarm: begin, end, channel, size
+    # Unix times of the first and the last message that was read, nanoseconds
     start_ns: int = 0
     end_ns: int = 0
-    damage: tuple[Damage, ...] = ()  # what of it could not be read
-    levels: tuple[WearLevel, ...] = ()  # what the flight says of wear
+    damage: tuple[Damage, ...] = ()  # its unreadable parts
+    levels: tuple[WearLevel, ...] = ()  # levels of wear in the flight
     processor_s: float = 0.0  # processor time of the replay with all of its outputs, seconds
 
     @property
@@ -82,7 +82,7 @@ class LogOutcome(Replay):
         return tuple(first_raised(self.events))
 
     def to_json(self) -> dict[str, Any]:
-        """Return what ``--json`` prints."""
+        """Return the JSON object for ``--json``."""
         found: dict[str, Any] = {"log": self.log}
         if self.error is not None:
             found["error"] = self.error
@@ -106,10 +106,10 @@ def replay_log(
     live: LiveReplay | None = None,
     progress: bool = False,
 ) -> LogOutcome:
-    """Replay a log and write what was asked for; an error of this log is returned, not raised.
+    """Replay a log and write the requested files; an error of this log is returned, not raised.
 
-    ``on_event`` is called with each event as it arises, ``live`` replays the log as if live, ``progress`` shows on a
-    terminal how far it has got.
+    ``on_event`` is called with each event as it arises, ``live`` replays the log as if live, ``progress`` shows the
+    progress on a terminal.
     """
     started_s = time.thread_time()
     try:
@@ -185,7 +185,7 @@ def _replay(
 
 
 def _write(task: LogTask, run: Run, title: str) -> None:
-    """Write the plot, the Rerun recording and the report that were asked for."""
+    """Write the requested plot, Rerun recording and report."""
     found = run.replay
     shown = RunView(found.traces, found.events, found.thresholds, run.truth, effects(run.profile))
     if task.plot:
@@ -202,7 +202,7 @@ def _write(task: LogTask, run: Run, title: str) -> None:
 
 
 def _verdict(found: Replay, profile: Profile, facts: RecordingFacts) -> str:
-    """Return in a sentence what a replay found."""
+    """Return the result of a replay as a sentence."""
     blind = "".join(f"; {name} saw nothing (no {', '.join(lacks)})" for name, lacks in found.lacking.items())
     if not found.samples:
         channels = (channel for observer in profile.observers for channel in observer.source.channels)
@@ -227,7 +227,7 @@ def _verdict(found: Replay, profile: Profile, facts: RecordingFacts) -> str:
 
 
 def _reason(task: LogTask, error: Exception) -> str:
-    """Return in one line why a log could not be replayed."""
+    """Return one line that tells why a log could not be replayed."""
     if isinstance(error, FauioError):
         text = str(error)
     elif isinstance(error, OSError):

@@ -1,4 +1,4 @@
-"""``fauio replay``: one log or thousands, here, in several processes or on a cluster, or paced as if live."""
+"""``fauio replay``: one log or thousands, in this process, in several or on a cluster, or paced as if live."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 ALARMS_RAISED = 4
 """Exit status of --fail-on-alarm: docs/reference/exit-status.md."""
 FAILED = 2
-"""Exit status where a log could not be replayed: docs/reference/exit-status.md."""
+"""Exit status if a log could not be replayed: docs/reference/exit-status.md."""
 LOG_HELP = (
     "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind, "
     "or a folder of a recorded session"
@@ -98,7 +98,7 @@ def run_replay(args: argparse.Namespace) -> int:
     tasks = _tasks(args, logs)
     failed = raised = 0
     with ExitStack() as stack:
-        # what cannot be written shall be known before the first log
+        # a file that cannot be written is reported before the first log
         alarms = stack.enter_context(_Lines(args.alarms)) if args.alarms else None
         table = stack.enter_context(SummaryTable(args.table, worn_channels(profile))) if args.table else None
         live = stack.enter_context(_live(args)) if args.publish or args.udp or args.speed is not None else None
@@ -135,7 +135,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _tasks(args: argparse.Namespace, logs: Sequence[LogFile]) -> list[LogTask]:
-    """Return what is to be done about each log."""
+    """Return the task for each log."""
     from replay.runs.log_list import check_outputs, target
     from replay.runs.one_log import LogTask
 
@@ -152,7 +152,7 @@ def _tasks(args: argparse.Namespace, logs: Sequence[LogFile]) -> list[LogTask]:
             "folder": args.profile,
         }
         if args.dask is not None:
-            # workers have another working directory
+            # workers have other working directories
             files = {name: path and path.absolute() for name, path in files.items()}
         tasks.append(LogTask(log=str(log.path), vehicle=args.vehicle, dark=args.dark, force=args.force, **files))
     targets = [path for task in tasks for path in task.targets]
@@ -169,7 +169,7 @@ def _live(args: argparse.Namespace) -> LiveReplay:
     listen, connect = args.listen or (), args.connect or ()
     if args.publish and not (listen or connect):
         listen = (DEFAULT_ENDPOINT,)
-    # as fast as possible is faster than any receiver of datagrams
+    # as fast as possible is too fast for any receiver of datagrams
     speed = 1.0 if args.udp is not None and args.speed is None else args.speed
     return LiveReplay(speed, connect=connect, listen=listen, prefix=args.prefix, udp=args.udp)
 
@@ -177,7 +177,7 @@ def _live(args: argparse.Namespace) -> LiveReplay:
 def _outcomes(
     args: argparse.Namespace, profile: Profile, tasks: Sequence[LogTask], live: LiveReplay | None
 ) -> Generator[LogOutcome, None, None]:
-    """Return what was found in each log, in their order."""
+    """Return the result of each log, in their order."""
     if args.dask is not None:
         from replay.runs.many_logs import replay_on_dask
 
@@ -198,7 +198,7 @@ def _outcomes(
 
 
 class _Lines:
-    """A file that lines are added to, each there as soon as it is added."""
+    """A text file; each added line is written at once."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -218,7 +218,7 @@ class _Lines:
 
 
 def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
-    """Say what was found in a log."""
+    """Print the result of a log."""
     from monitor.bus.alarm_text import alarm_line, utc
 
     damage = [part.line() for part in outcome.damage]

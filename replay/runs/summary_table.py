@@ -1,4 +1,4 @@
-"""A table with a row for each replayed log: CSV, written row by row, or Parquet where the file is called so."""
+"""A table with a row for each replayed log: CSV, written row by row, or Parquet if the file's suffix is that."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ COLUMNS: Mapping[str, type] = {
 
 
 def summary_row(outcome: LogOutcome) -> dict[str, Any]:
-    """Return a log's row; values that are not known are None.
+    """Return a log's row; unknown values are None.
 
-    ``status`` is ``ok``, ``unwatched`` (nothing wrong with the log, but the vehicle was never in flight) or ``failed``.
+    ``status`` is ``ok``, ``unwatched`` (the log is intact, but the vehicle was never in flight) or ``failed``.
     """
     raised = outcome.raised
     first = raised[0] if raised else None
@@ -83,11 +83,10 @@ def summary_row(outcome: LogOutcome) -> dict[str, Any]:
 
 
 class SummaryTable:
-    """Writes the table, ``.csv`` or ``.parquet``; rows are in the file after :meth:`close`, in a CSV file at once.
+    """Writes the table, ``.csv`` or ``.parquet``; its rows are in the file after :meth:`close`, in a CSV file at once.
 
-    Behind :data:`COLUMNS` there are three for each channel that shows wear.
-
-    Raises UsageError for another suffix, or for Parquet without pyarrow; any method OSError where it cannot be written.
+    :data:`COLUMNS` are followed by three columns for each channel that shows wear. Raises UsageError for another
+    suffix, or for Parquet without pyarrow; any method raises OSError if the file cannot be written.
     """
 
     def __init__(self, path: Path, worn: Iterable[WornChannel] = ()) -> None:
