@@ -44,45 +44,46 @@ Array = NDArray[np.float64]
 OBSERVER = "battery"
 
 _SLOWEST_HZ, _FASTEST_HZ = 0.5, 10.0
-"""Bounds of the observer's grid. Chosen: slower reports miss the manoeuvres that change the current; faster ones are
-alike, autopilots filter both."""
+"""Bounds of the observer's rate, hertz. Chosen: slower reports miss the manoeuvres that change the current; faster ones
+add nothing, since autopilots filter both signals."""
 _BASE_S, _MEMORIES_S = 5.0, (5.0, 10.0, 20.0)
-"""Time constants of the low-pass and of the moments. Chosen: a manoeuvre lasts some seconds, charge moves the open
-voltage in minutes; a resistance that doubles at once is half seen after 0.7 of a memory."""
+"""Time constants of the low-pass and of the moments, seconds. Chosen: a manoeuvre lasts some seconds, charge moves the
+open voltage in minutes; if a resistance doubles at once, half of it is seen after 0.7 of a memory."""
 _SURE = 0.08
-"""Standard deviation of the resistance in healthy flights, as a share of it, up to which a memory is long enough: a
-fifth of the smallest alarm, as far from it as no Gaussian error comes in a million samples."""
+"""Largest relative standard deviation of the resistance in healthy flights for which a memory is long enough: a fifth
+of the smallest alarm, a distance that no Gaussian error reaches in a million samples."""
 _LARGEST_ERROR = 0.25
-"""Standard error of the resistance, as a share, up to which the flights know it, as of the motors' effects."""
+"""Largest relative standard error of the resistance for which the flights determine it; the same as for the motors'
+effects."""
 _DOUBT = 1.0
-"""Share by which a resistance may be another before this flight has shown it: lithium batteries are taken out of
-service at about twice the one of new."""
+"""Share by which the resistance may differ before this flight has shown it: lithium batteries are taken out of service
+at about twice the resistance of a new one."""
 _SMALLEST, _CRITICAL = 0.4, 1.5
-"""Shares of resistance more that are worth an alarm, and critical. Chosen: from full to a fifth of the charge, and from
-30 to 10 degrees, it rises by a third, which is no fault; the end of service is at one."""
+"""Relative increases of the resistance that are worth an alarm, and critical. Chosen: from full to a fifth of the
+charge, and from 30 to 10 degrees, it rises by a third, which is no fault; the end of service is an increase by one."""
 _RAISE, _SLOW = 0.25, 1.0
-"""Shares of the memory for which evidence has to last: chosen, what one manoeuvre says is not enough."""
+"""Shares of the memory for which evidence has to last. Chosen: the evidence of one manoeuvre is not enough."""
 _FAULT_RATE = 0.1
-"""Shares per second by which it may grow: chosen, a contact fails within ten seconds."""
+"""Rate at which the relative resistance may grow, 1/s. Chosen: a contact fails within ten seconds."""
 _LEAST_LEFT = 0.01
-"""Least deviation of the resistance that is left, as a share: no battery's is steadier than that of its heat."""
+"""Least relative deviation of the resistance: no battery is steadier, since its temperature changes."""
 _LEAST_USED = 0.03
-"""Share of the charge that a flight has to use to tell how much there is: it is reported in whole per cent."""
+"""Share of the charge that a flight has to use to determine the battery's charge: it is reported in whole per cent."""
 _LEAST_FILLED = 1e-9
-"""Only at a restart is less of the memory filled."""
+"""Share of the memory below which it counts as empty: only a restart leaves less."""
 _MOST_CELLS = 10
-"""Cells in a BATTERY_STATUS."""
+"""Number of cells in a BATTERY_STATUS."""
 _LEAST_AMPS = 0.05
-"""Amperes below which no time is told: a fifth of what an autopilot draws."""
+"""Smallest current for which a remaining time is given, amperes: a fifth of what an autopilot draws."""
 
 
 class BatteryInputs:
-    """Samples of a battery: its resistance in shares of the usual one, and what is known beside it.
+    """Samples of a battery: its resistance as a share of the usual one, its current and the time that its charge lasts.
 
-    Parameters are ``ohm``: usual resistance; ``doubt``: lambda, A^2; ``charge``: that of a full battery, As, 0 where it
-    is not known; ``memory_s``: time constant of the moments, 20 where it is left out; ``cells``: in how many parts the
-    voltage is reported, 1 where it is left out. Raw samples come as often as samples are given; TelemetryError is
-    raised where a parameter is missing, unknown or out of range.
+    Parameters are ``ohm``: usual resistance; ``doubt``: lambda, A^2; ``charge``: charge of a full battery, As, 0 if it
+    is not known; ``memory_s``: time constant of the moments, 20 if it is left out; ``cells``: number of parts in which
+    the voltage is reported, 1 if it is left out. The rates of raw samples and of samples are equal; TelemetryError is
+    raised if a parameter is missing, unknown or out of range.
     """
 
     inputs, outputs = ("battery", "ohm", "current", "left_s"), ("resistance",)
@@ -97,7 +98,7 @@ class BatteryInputs:
         cells = parameters.get("cells", 1.0)
         if cells not in range(1, _MOST_CELLS + 1):
             raise TelemetryError(f"transform 'battery': 'cells' is {cells:g}; a whole number up to {_MOST_CELLS}")
-        # the rate is there for its time stamps: what is said of batteries has none
+        # roll_rate is there for its time stamps: the messages of batteries have none
         self.signals = ("volts", "amps", "left", "roll_rate", *(f"volts{at}" for at in range(2, int(cells) + 1)))
         if signal_rate_hz != rate_hz:
             raise TelemetryError(f"transform 'battery': signals at {signal_rate_hz:g} Hz, samples at {rate_hz:g} Hz")
@@ -111,28 +112,28 @@ class BatteryInputs:
             covariance, variance, amps = self._moments.run(samples)
             ohm = (self._doubt * self._ohm - covariance) / (self._doubt + variance)
             left_s = np.where(amps > _LEAST_AMPS, self._charge * samples.u[:, 2] / np.maximum(amps, _LEAST_AMPS), 0.0)
-            # less than usual is no fault
+            # a resistance below the usual one is no fault
             share = np.where(ohm < self._ohm, 1.0, ohm / self._ohm)
         columns = [np.ones(len(samples)), ohm, amps, left_s, share]
         return self._given.run(samples, columns, np.ones(len(samples), np.bool_))
 
 
 class Moments:
-    """Moments of voltage and current, less what they were of late."""
+    """Moments of voltage and current, both minus their recent mean."""
 
     def __init__(self, rate_hz: float, memory_s: float) -> None:
         self._base = LaggedMeans([(0.0, _BASE_S)] * 2, rate_hz, 1, 2, 2)
         self._means = LaggedMeans([(0.0, memory_s)] * 5, rate_hz, 1, 5, 1)
 
     def run(self, samples: Samples) -> tuple[Array, Array, Array]:
-        """Return w cov(V, I), w var(I) and the current of late of raw samples (n,)."""
+        """Return w cov(V, I), w var(I) and the recent mean of the current of raw samples (n,)."""
         if not len(samples):
             return np.empty(0), np.empty(0), np.empty(0)
         everywhere = np.ones(len(samples), np.bool_)
         volts, amps = _voltage(samples), samples.u[:, 1]
         base = self._base.run(samples, [volts, amps, volts, amps], everywhere).samples.u
         v, i = volts - base[:, 0], amps - base[:, 1]
-        # all begin at zero, so that the last one says how much of the memory is filled
+        # all begin at zero, so that the last one shows how much of the memory is filled
         columns = [v, i, v * i, i * i, np.where(samples.restart, 0.0, 1.0), i]
         *mean, weight = self._means.run(samples, columns, everywhere).samples.u.T
         filled = np.maximum(weight, _LEAST_FILLED)
@@ -140,14 +141,14 @@ class Moments:
 
 
 def _voltage(samples: Samples) -> Array:
-    """Return the battery's voltage (n,): the sum of those of its cells, where they are reported."""
+    """Return the battery's voltage (n,): the sum of the voltages of its cells if they are reported."""
     return np.asarray(samples.u[:, 0] + samples.u[:, 4:].sum(axis=1))
 
 
 def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
     """Learn the battery's resistance on healthy recordings, design the observer, calibrate its alarm.
 
-    None where voltage and current are not reported, or the flights do not tell how one goes with the other.
+    Return None if voltage and current are not reported, or the flights do not determine the resistance.
 
     Raises
     ------
@@ -171,9 +172,9 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
     expected = Expectation("resistance", left, OBSERVER, RESISTANCE, _SMALLEST, _CRITICAL, _FAULT_RATE, OBSERVER)
     raise_s = max(_RAISE * memory_s, 3.0 / rate_hz)
     times = Times(fast_s=raise_s, raise_s=raise_s, slow_s=_SLOW * memory_s, clear_s=raise_s)
-    # of the inputs the first is the usual resistance; the others are for the alarm's sentence
+    # the first input is the usual resistance; the others are for the alarm's sentence
     fitted = fit_expectations(request.name, source, rate_hz, raw, gate, [expected], times, B=np.eye(1, 4))
-    # a resistance is a mean itself: the path of means would name half of what matters
+    # a resistance is a mean itself: the path of means would raise an alarm from half of the smallest size that matters
     alarm = plain_only(*fitted.alarms)
     charge = "" if not parameters["charge"] else f", {parameters['charge'] / 3600.0:.1f} Ah when full"
     return replace(
@@ -189,7 +190,7 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
 
 
 def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float] | None:
-    """Return the transform's parameters, None where the flights do not tell the resistance."""
+    """Return the transform's parameters, or None if the flights do not determine the resistance."""
     products, charge, rows = np.zeros((2, 2)), [], 0
     for flight in raw:
         amps, left = flight.samples.u[flight.armed, 1:3].T
@@ -209,7 +210,7 @@ def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float] | None:
         return None
     ohm = -products[0, 1] / products[1, 1]
     noise = max(products[0, 0] - ohm * ohm * products[1, 1], 0.0) / rows
-    # errors within a second are alike
+    # errors within a second are correlated
     error = math.sqrt(noise / (products[1, 1] / rate_hz))
     if not ohm > 0.0 or error > _LARGEST_ERROR * ohm:
         return None

@@ -37,44 +37,44 @@ from monitor.vehicles.multirotor.transform import TERMS, HeldMeans, deviation, t
 OBSERVER = "esc"
 
 _SIGNAL_HZ = 100.0
-"""Commands are put through delay and lag on this grid: a fifth of the usual lag of a motor."""
+"""Rate of the grid for delay and lag of commands, hertz: a fifth of the usual lag of a motor."""
 _FASTEST_HZ = 50.0
-"""Fastest rate of the observer: speeds follow with a lag of 50 ms."""
+"""Fastest rate of the observer, hertz: speeds follow with a lag of 50 ms."""
 _SLOWEST_HZ = 2.0
-"""Speeds that come less often are not judged. Measured over radios at 1 Hz: what commands did between two of them
-accused two controllers in 8 minutes of healthy flight, and left others without evidence for 5 s and more; at 10 Hz of a
-log neither. Chosen: between."""
+"""Least rate of speeds that are judged, hertz. Measured over radios at 1 Hz: what commands did between two messages
+raised alarms of two controllers in 8 minutes of healthy flight, and left others without evidence for 5 s and more;
+neither happened at 10 Hz of a log. Chosen: between the two."""
 _DELAYS_S, _LAGS_S = (
     (0.0, 0.02, 0.04, 0.07, 0.1, 0.15),
     (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17),
 )
-"""Tried as delay and lag, seconds. Chosen: from nothing to the slowest motor and link that fly, neighbours by a third
-or two samples of the grid apart, which moves no expectation by more than motors' noise."""
+"""Delays and lags that are tried, seconds. Chosen: from nothing to the slowest motor and link that fly; neighbours
+differ by a third or two samples of the grid, which changes no expectation by more than the noise of motors."""
 _SMALLEST_SPEED, _SMALLEST_CURRENT = 0.02, 0.08
-"""Smallest deviations worth an alarm, as shares of those of hovering. The first is the residual of a real vehicle's
-speeds over commands (2.3 %, PX4 at 3 Hz). A current goes with the cube of a speed, and controllers measure it within
-5 %: chosen, one and a half times that."""
+"""Smallest deviations of speed and current worth an alarm, as shares of those in hover. The first is the residual of a
+real vehicle's speeds over commands (2.3 %, PX4 at 3 Hz). A current goes with the cube of a speed, and controllers
+measure it within 5 %: chosen, one and a half times that."""
 _CRITICAL_SPEED, _CRITICAL_CURRENT = 0.25, 1.0
-"""Critical ones. Chosen: a quarter of a speed is nearly half of the thrust; twice the usual current burns a motor."""
+"""Critical deviations of speed and current. Chosen: a quarter of the speed is nearly half of the thrust; twice the
+usual current burns a motor."""
 _EXCUSED_S = 2.0
-"""After the alarm of a motor's controller or propeller has cleared, seconds, none of that motor is raised: by then the
-mean over which losses are seen has forgotten it. A chipped propeller takes less current, and has less thrust at its
-command; so has a motor that turns slower."""
+"""Time after the alarm of a motor's controller or propeller has cleared in which it explains that motor's loss,
+seconds: after it, the mean over which losses are seen has forgotten the fault. A chipped propeller takes less
+current and has less thrust at its command; a motor that turns slower, too."""
 _LEAST_SHARE = 1e-3
-"""Share of the commands flown that lies below the least one that is judged, and of their steps above the largest one.
-Chosen: a flight of minutes has some."""
+"""Share of the flown commands below the least one that is judged, and of their steps above the largest one. Chosen: a
+flight of minutes has some."""
 _OTHERWISE = 0.5
-"""Share of the usual current by which each of its terms may differ from a propeller's power alone. Chosen: without load
-motors draw a tenth and less of what they draw in hover; flights that show it decide.
-"""
+"""Share of the usual current by which each term may differ from a propeller's power alone. Chosen: without load, motors
+draw a tenth of their current in hover or less; flights that show the term decide."""
 _LEAST_LEFT = 1e-4
-"""Least deviation that is left: what a speed of 10,000 rpm is rounded to."""
+"""Least remaining deviation: the rounding of a speed of 10,000 rpm."""
 _FAULT_RATE = 1.0
-"""Shares per second by which a fault may grow: chosen, a controller fails within a second."""
+"""Rate at which a fault may grow, shares per second. Chosen: a controller fails within a second."""
 
 
 class _Curves(NamedTuple):
-    """Curves of some quantities over their causes: coefficients (m, terms), and the deviation that is left (m,)."""
+    """Curves of quantities over their causes: coefficients (m, terms), and the remaining deviation (m,)."""
 
     coefficients: FloatArray
     left: FloatArray
@@ -82,36 +82,36 @@ class _Curves(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Identified:
-    """What the flights say of motors' speeds, and currents where they are measured."""
+    """Motors' speeds, and currents if they are measured, as identified from the flights."""
 
-    numbers: tuple[int, ...]  # of the outputs that drive the motors
-    volts: float  # usual voltage, 0 where it is not measured
+    numbers: tuple[int, ...]  # numbers of the outputs that drive the motors
+    volts: float  # usual voltage, 0 if it is not measured
     delay_s: float
     lag_s: float
-    hover: FloatArray  # speeds, then currents, of hovering (m,), rpm and A
+    hover: FloatArray  # speeds, then currents, in hover (m,), rpm and A
     curves: _Curves
-    least: float  # smallest command that was flown, the lowest thousandth aside
-    most: float  # largest command that was flown, the highest thousandth aside
-    fastest: float  # fastest change of a command that was flown, per second, the highest thousandth aside
-    command: float  # that of hovering
+    least: float  # smallest command that was flown, without the lowest thousandth
+    most: float  # largest command that was flown, without the highest thousandth
+    fastest: float  # fastest change of a command that was flown, per second, without the highest thousandth
+    command: float  # command in hover
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of what is measured."""
+        """Names of the measured quantities."""
         kinds = ("rpm", "amps")[: len(self.hover) // len(self.numbers)]
         return tuple(f"{kind}{n}" for kind in kinds for n in self.numbers)
 
     def speeds_only(self) -> _Identified:
-        """Return the same without currents."""
+        """Return a copy without currents."""
         s = len(self.numbers)
         return replace(self, hover=self.hover[:s], curves=_Curves(*(part[:s] for part in self.curves)))
 
     @property
     def doubt(self) -> float:
-        """Return how many times larger errors are per squared command beyond those flown.
+        """Return the relative growth of errors per squared command beyond the flown ones.
 
-        They are twice the deviation with which the bend is filled in (:func:`_regressed`), of a speed that is about in
-        proportion to its command.
+        The error is twice the deviation with which the bend is filled in (:func:`_regressed`), for a speed that is
+        about in proportion to its command.
         """
         return 2.0 / (4.0 * self.command * self.command) / _SMALLEST_SPEED
 
@@ -139,9 +139,8 @@ class _Identified:
 def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
     """Identify speeds and currents on healthy recordings, design the observer, calibrate its alarms.
 
-    None where no speed controller reports its speed, or too seldom.
-
-    Currents that follow speeds too loosely to show twice the usual one are left out.
+    Return None if no speed controller reports its speed, or too seldom. Currents that follow speeds too loosely to show
+    twice the usual current are left out.
 
     Raises
     ------
@@ -187,7 +186,7 @@ def _designed(
     signal_hz: float,
     rate_hz: float,
 ) -> Fitted:
-    """Return the designed observer with its alarms; ``source`` has those of the raw flights."""
+    """Return the designed observer with its alarms; ``source`` has the channels of the raw flights."""
     s = len(found.numbers)
     kept = [*range(2 * s), *(range(2 * s, 3 * s) if len(found.names) > s else ())]
     kept += range(3 * s, 4 * s) if found.volts else ()
@@ -220,7 +219,7 @@ def _designed(
 
 
 def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: float, rate_hz: float) -> _Identified:
-    """Identify on raw flights whose signals are commands, then speeds, currents and voltages of as many motors."""
+    """Identify on raw flights whose signals are commands, then speeds, currents and voltages of the same motors."""
     s = len(commands)
     u, speed, current, voltage = np.split(np.concatenate([flight.samples.u[flight.armed] for flight in raw]), 4, axis=1)
     check_length(len(u), signal_hz, "speeds of motors")
@@ -230,7 +229,7 @@ def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: f
     volts = float(np.median(voltage.mean(axis=1)))
     volts = float(f"{volts:.4g}") if volts > 0.0 and (voltage.mean(axis=0) > 0.0).all() else 0.0
     amps = np.median(current, axis=0)
-    # what never changes is no measurement: ArduPilot's simulator reports 0.8 A for each motor at any speed
+    # a value that never changes is no measurement: ArduPilot's simulator reports 0.8 A for each motor at any speed
     measured = np.append(hover, amps) if (amps > 0.0).all() and np.ptp(current, axis=0).all() else hover
     prior_u = np.median(u, axis=0)
     candidates = []
@@ -259,9 +258,10 @@ def _means(
     rate_hz: float,
     hover: FloatArray | float = 1.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what the coefficients of the curves of speeds multiply (N, terms, s), and speeds (N, s), of all flights.
+    """Return the factors of the coefficients in the curves of speeds (N, terms, s), and speeds (N, s), of all flights.
 
-    Commands are delayed and lag by ``timing``; without it the same of currents, over speeds in shares of ``hover``.
+    Commands are delayed and lag by ``timing``; without ``timing``, the same for currents over speeds as shares of
+    ``hover``.
     """
     half = slice(0, s) if timing is not None else slice(s, 2 * s)
     every = []
@@ -281,7 +281,7 @@ def _means(
 def _regressed(X: FloatArray, y: FloatArray, rate_hz: float, commands: FloatArray | None = None) -> _Curves:
     """Return the curves of y (N, s), one at hover, over X (N, terms, s).
 
-    They are those of speeds where the ``commands`` of hovering (s,) are given, else of currents.
+    These are the curves of speeds if the ``commands`` in hover (s,) are given, otherwise of currents.
     """
     rows, left = [], []
     for at in range(y.shape[1]):
@@ -289,7 +289,7 @@ def _regressed(X: FloatArray, y: FloatArray, rate_hz: float, commands: FloatArra
         usual = 1.0 if commands is None else float(commands[at])
         line = np.polyfit(A[:, 1], b, 1) if A[:, 1].std() > 0.0 else np.array([1.0 / usual, 0.0])
         slope = max(float(line[0]), 0.5 / usual)
-        # what a straight line leaves, counted once a second: the errors within one are alike
+        # the residual of a straight line, counted once a second: errors within a second are correlated
         noise = max(float((b - np.polyval(line, A[:, 1])).std()), 1e-6) * np.sqrt(rate_hz)
         if commands is None:
             weights, expected = noise / np.full(TERMS, _OTHERWISE), np.array([0.0, 0.0, 0.0, 1.0])
@@ -302,10 +302,10 @@ def _regressed(X: FloatArray, y: FloatArray, rate_hz: float, commands: FloatArra
 
 
 def _times(rate_hz: float) -> Times:
-    """Return how long evidence has to last: as ever, and the ticks that slow grids need.
+    """Return how long evidence has to last: the usual times, or the number of ticks that slow grids need.
 
-    Of ticks they are those of the motors' trim (:func:`monitor.vehicles.multirotor.trim.slow_times`), whose errors are
-    as coloured: both compare means of commands with motion.
+    That number is that of the motors' trim (:func:`monitor.vehicles.multirotor.trim.slow_times`), whose errors are as
+    coloured: both compare means of commands with motion.
     """
     usual, tick_s = Times(), 1.0 / rate_hz
     return Times(
@@ -317,7 +317,7 @@ def _times(rate_hz: float) -> Times:
 
 
 def _lines(found: _Identified, signals: EscSignals, alarms: Sequence[Calibrated], rate_hz: float) -> tuple[str, ...]:
-    """Return what a fit tells people: how well the curves hold, where speeds come from, and the alarms' thresholds."""
+    """Return the report of a fit for people: how well the curves hold, where speeds come from, and the thresholds."""
     s = len(found.numbers)
     left = 100.0 * found.curves.left
     order = ", ".join(f"motor{n} {_place(channel)}" for n, channel in zip(found.numbers, signals.speed, strict=True))
@@ -332,7 +332,7 @@ def _lines(found: _Identified, signals: EscSignals, alarms: Sequence[Calibrated]
 
 
 def _place(channel: Channel) -> str:
-    """Return where a channel comes from, for people."""
+    """Return the source of a channel, for people."""
     first = next((int(value) for name, value in channel.where if name == "index"), 0)
     return f"{channel.message}[{first + int(channel.path[-1])}]"
 

@@ -77,14 +77,14 @@ from monitor.vehicles.multirotor.trim import (
 from monitor.vehicles.multirotor.voltage import fit_supply
 
 SHOWN_S = 10.0
-"""Seconds drawn: as many as show single manoeuvres over the width of a page."""
+"""Length of the plot, seconds: it shows single manoeuvres over the width of a page."""
 
 
 def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> Comparison | None:
-    """Fit on most of the recordings and compare with the rest: the last of three or more, else the last quarter.
+    """Fit on most of the recordings and compare with the rest: the last of three or more, otherwise the last quarter.
 
-    Return the liveliest seconds of the rest and statistics of all of it; None where what is left to fit on is too
-    short, or nothing long enough is left to compare with.
+    Return the liveliest seconds of the rest and statistics of all of it, or None if the part for the fit is too short,
+    or nothing long enough is left for the comparison.
     """
     training, rest = split_segments(flights)
     places = {id(segment.u): number for number, flight in enumerate(flights) for segment in flight}
@@ -103,7 +103,7 @@ OBSERVER, PROPS, TRIM = "motors", "props", "trim"
 
 @dataclass(frozen=True, slots=True)
 class _Drive:
-    """What an observer takes for the cause of the motion: commands, or the thrusts that measured speeds should give."""
+    """The inputs that an observer takes as the motion's cause: commands, or thrusts expected at measured speeds."""
 
     observer: str
     inputs: tuple[Channel, ...]
@@ -129,49 +129,51 @@ def _turned(speeds: EscSignals, observer: str) -> _Drive:
 
 
 _ENOUGH_HZ = 100.0
-"""Faster logs are put onto this grid: several samples in the lag of any motor (20 to 100 ms with its link)."""
+"""Fastest rate of the grid for logs, hertz: several samples in the lag of any motor (20 to 100 ms with its link)."""
 _CALM_HZ = 10.0
-"""Of flights without manoeuvres commands are taken as if they came at this rate, that of logs: what it shows of hover
-alone is measured (docs/rates.md)."""
+"""Rate as which commands are treated in flights without manoeuvres, hertz, that of logs: what such commands show in
+hover alone is measured (docs/rates.md)."""
 _AIRBORNE_SHARE = 0.5
-"""Share of the mean command, which is that of hovering. Chosen: motors idle far below half of it, descents stay
-above."""
+"""Share of the mean command, which is that of hovering, above which a vehicle is in the air. Chosen: motors idle far
+below half of it, descents stay above."""
 _CARRYING_SHARE = 0.8
-"""Share of the mean command above which rotors carry a vehicle that has wings, too. Measured on a simulated VTOL:
-hover in gusts stays above, and back from forward flight they come to it below 9 m/s."""
+"""Share of the mean command above which the rotors of a vehicle with wings carry it. Measured on a simulated VTOL:
+hover in gusts stays above it, and after forward flight the rotors reach it below 9 m/s."""
 _BRIDGED_S = 0.5
-"""Breaks in the evidence that identification bridges. Chosen: over a shorter one the commands, on a straight line, tell
-what the body rates do; after a longer one they begin anew."""
+"""Longest break in the evidence that identification bridges, seconds. Chosen: over a shorter one the commands, on a
+straight line, determine the body rates; after a longer one the rates begin anew."""
 _SMALLEST_LOSS = 0.015
-"""Smallest loss at hover worth an alarm. Measured on healthy flights: the standard errors of motors' effects are 0.5 to
-1.4 %, so that a smaller loss may be the model's own error."""
+"""Smallest loss in hover that is worth an alarm. Measured on healthy flights: the standard errors of motors' effects
+are 0.5 to 1.4 %, so that a smaller loss may be the model's own error."""
 _CRITICAL_LOSS = 0.25
-"""A loss that is critical. Chosen: a quadrotor has little control left in gusts without a quarter of a motor."""
+"""Critical loss. Chosen: without a quarter of a motor, a quadrotor has little control left in gusts."""
 _PAIRED = 4
-"""Number of motors of a vehicle any two of whose losses are told from all others. The effects of four motors on three
-body rates have one linear combination that is zero, with all signs alike: two losses are told from any other two, as
-losses. Of six motors the losses of two opposite ones turn the vehicle as little as those of any other two."""
+"""Largest number of motors with which losses of any two motors are told from all other losses. The effects of four
+motors on three body rates have one linear combination that is zero, with coefficients of one sign: two losses are
+told from any other two, since losses have one sign, too. With six motors, the losses of two opposite motors turn the
+vehicle as little as those of any other opposite two."""
 _OPPOSITE = 0.5
-"""Share of one motor's effect on roll and pitch up to which two together are opposite. Chosen: opposite ones of a
-quadrotor have none of it, neighbours 1.4 times as much."""
+"""Largest effect of two motors together on roll and pitch, as a share of one motor's, for which they are opposite.
+Chosen: opposite motors of a quadrotor have none, neighbours 1.4 times that of one."""
 _SMALLEST_JUMP = 0.05
-"""rad/s: an autopilot rides out a smaller jump of a gyro, and gusts make steps of that size."""
+"""Smallest jump of a gyro that is worth an alarm, rad/s: an autopilot rides out a smaller one, and gusts make steps of
+that size."""
 _MOST_OF_JUMPS = 1.5
-"""How many times the largest healthy step the level may be: steps are too rare for a tail to be fitted to them."""
-# A jump is seen at one sample; it needs no debounce.
+"""Largest ratio of the level to the largest healthy step: steps are too rare to fit a tail to them."""
+# A jump is seen in one sample, so it needs no debounce.
 _JUMP = Times(fast_s=0.0, raise_s=0.0, clear_s=0.5)
 _AXES = ("roll", "pitch", "yaw")
 _BEYOND, _BEYOND_SLOW = (1.5e-7, 1e-3), (3e-5, 1e-2)
-"""Variance of a motor's lost share per squared body rate, (rad/s)^2, and per squared change of a command, where a
-flight is livelier than those that were fitted. Measured: about the geometric means of what fits of recorded flights
-find, at 100 Hz (three ArduPilot quadcopters: 5e-8 to 8e-7, 1.5e-4 to 4.5e-3) and with commands at 10 Hz (ArduPilot's
-and PX4's logs, PX4's link: 6e-6 to 1.4e-4, 7e-3 to 1.8e-2)."""
+"""Variance of a motor's relative loss per squared body rate, (rad/s)^2, and per squared change of a command, in flights
+that are livelier than the fitted ones. Measured: about the geometric means of fits of recorded flights, at 100 Hz
+(three ArduPilot quadcopters: 5e-8 to 8e-7, 1.5e-4 to 4.5e-3) and with commands at 10 Hz (ArduPilot's and PX4's logs,
+PX4's link: 6e-6 to 1.4e-4, 7e-3 to 1.8e-2)."""
 
 
 def multirotor_gate(surveys: Sequence[Survey]) -> GateRule:
-    """Return when a multirotor's samples are evidence: in the air, by half the mean command if it does not say.
+    """Return the rule for a multirotor's evidence: in the air, told by half the mean command if nothing else tells it.
 
-    Of one with wings, low commands do not tell that it has landed.
+    Low commands do not show that a vehicle with wings has landed.
     """
     winged = any(survey.is_vtol for survey in surveys)
     return GateRule(settle_s=SETTLE_S, airborne_command=0.0 if winged else _AIRBORNE_SHARE * _hover_command(surveys))
@@ -183,16 +185,16 @@ def _hover_command(surveys: Sequence[Survey]) -> float:
 
 
 def _lift(surveys: Sequence[Survey]) -> LiftRule | None:
-    """Return that a vehicle with wings has to be carried by its rotors."""
+    """Return the rule that the rotors have to carry a vehicle that has wings."""
     winged = any(survey.is_vtol for survey in surveys)
     return LiftRule("rotors", float(f"{_CARRYING_SHARE * _hover_command(surveys):.3g}")) if winged else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Identified:
-    """A model of the motors, what it rests on, and what there is to say about it.
+    """A model of the motors, its data, and the report about it.
 
-    ``doubt`` is what the uncertainty of the coefficients puts into the next body rates (n,), ``times`` how long
+    ``doubt`` is the error of the next body rates (n,) from the uncertainty of the coefficients, ``times`` how long
     evidence has to last.
     """
 
@@ -232,9 +234,9 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
 
 
 def fit_props(request: FitRequest, gate: GateRule) -> Fitted | None:
-    """Fit an observer whose inputs are speeds of motors that come slowly; None where they do not.
+    """Fit an observer whose inputs are speeds of motors that come slowly; None if there are none.
 
-    Where they come fast those of the motors observer are (:func:`fit_multirotor`).
+    Speeds that come fast are the inputs of the motors observer (:func:`fit_multirotor`).
     """
     commands, outputs = multirotor_channels(request.surveys)
     speeds = motor_speeds(request, gate, commands)
@@ -244,9 +246,10 @@ def fit_props(request: FitRequest, gate: GateRule) -> Fitted | None:
 
 
 def fit_trim(request: FitRequest, gate: GateRule) -> Fitted | None:
-    """Fit an observer of the mean command of each second beside a faster one; None where commands come that slowly.
+    """Fit an observer of the mean command of each second beside a faster one; None if commands come that slowly.
 
-    It sees what manoeuvres and noise hide from the fast one: a propeller that is cut, or dirty, for a whole flight.
+    It detects faults that manoeuvres and noise hide from the fast one: a propeller that is cut or dirty for a whole
+    flight.
     """
     commands, outputs = multirotor_channels(request.surveys)
     drive = replace(_commanded(request, gate, commands), observer=TRIM)
@@ -315,10 +318,10 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
 
 
 def pairs_of(motors: Sequence[str], B: NDArray[np.float64], *, slow: bool) -> tuple[tuple[str, str], ...]:
-    """Return the motors that are looked for together, by their effects B (n, s) on body rates, roll and pitch first.
+    """Return the pairs of motors that are watched together, by their effects B (n, s) on rates, roll and pitch first.
 
-    Opposite motors turn the vehicle about the vertical alone where both lose. How it answers there is known least where
-    commands come slowly: turns that were faster than any flown were taken for the loss of two such motors.
+    Two opposite motors that both lose thrust turn the vehicle only about the vertical. Its response there is known
+    least if commands come slowly: turns that were faster than any flown were taken for the loss of two such motors.
     """
     if len(motors) != _PAIRED:
         return ()
@@ -340,14 +343,14 @@ def _supply_text(supply: SupplyRule) -> str:
 def _smallest(
     watched: Mapping[str, float], alarms: Sequence[Calibrated], excitation: ExcitationRule | None
 ) -> dict[str, tuple[float, str]]:
-    """Return the smallest loss of each motor that is an alarm, with what errors at rest ask for, and its unit."""
+    """Return the smallest loss of each motor that raises an alarm, including the errors at rest, and its unit."""
     scale = math.sqrt(max(1.0, excitation.constant if excitation is not None else 0.0))
     rules = {calibrated.rule.channel: calibrated.rule for calibrated in alarms}
     return {motor: (scale * rules[motor].threshold, rules[motor].unit) for motor in watched}
 
 
 def _check_watched(watched: Mapping[str, float], smallest: Mapping[str, tuple[float, str]]) -> None:
-    """Make sure that some motor's loss would be an alarm; ``watched`` are their commands in hover, by channel."""
+    """Make sure that some motor's loss would raise an alarm; ``watched`` are their commands in hover, by channel."""
     least = min(smallest[motor][0] / command for motor, command in watched.items())
     if least >= 1.0:
         raise ModelError(
@@ -357,7 +360,7 @@ def _check_watched(watched: Mapping[str, float], smallest: Mapping[str, tuple[fl
 
 
 def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[Channel]) -> _Identified:
-    """Identify how the body rates answer the commands, sample by sample; their means where no manoeuvre tells that."""
+    """Identify how the body rates answer the commands, sample by sample; use means if no manoeuvre shows that."""
     source = SampleSource(drive.inputs, tuple(outputs), lift=_lift(request.surveys))
     fastest_hz = common_rate_hz(request.surveys, source.channels)
     rate_hz = request.grid_hz(min(fastest_hz, _ENOUGH_HZ))
@@ -406,9 +409,9 @@ def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
 def _identify(
     records: Sequence[Sequence[Segment]], rate_hz: float, frame: Frame | None
 ) -> tuple[MultirotorFit, MotorUncertainty, NDArray[np.bool_]]:
-    """Return the model, how well it is known, and about which axes the flights tell what the motors do.
+    """Return the model, its accuracy, and the axes about which the flights show the motors' effects.
 
-    Yaw is taken from the frame where they do not.
+    Yaw is taken from the frame if the flights do not show it.
     """
     segments = [record for flight in records for record in flight]
     numbers = [number for number, flight in enumerate(records) for _ in flight]
@@ -421,7 +424,7 @@ def _identify(
 
 
 def _slow(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[Channel]) -> _Identified:
-    """Identify which mean commands the vehicle flies with: its trim."""
+    """Identify the mean commands with which the vehicle flies: its trim."""
     commands_hz = drive.rate_hz
     calm = commands_hz >= SLOW_COMMANDS_HZ and request.rate_hz is None
     why = "the flights hold no manoeuvres" if calm else f"{drive.called} come at {commands_hz:.3g} Hz"
@@ -471,9 +474,9 @@ def _frame_of(request: FitRequest, drive: _Drive) -> Frame | None:
 
 
 def _frame(request: FitRequest, gate: GateRule, drive: _Drive, rates: Sequence[Channel]) -> tuple[Frame, str]:
-    """Return the vehicle's frame, and what tells it: the parameters, or which standard frame goes with the motion.
+    """Return the vehicle's frame and its origin: the parameters, or the standard frame that agrees with the motion.
 
-    UntoldError is raised where neither does.
+    UntoldError is raised if neither determines it.
     """
     if (frame := _frame_of(request, drive)) is not None:
         return frame, "the vehicle's parameters"
@@ -498,7 +501,7 @@ def _frame(request: FitRequest, gate: GateRule, drive: _Drive, rates: Sequence[C
 def _excitation(
     observer: ObserverProfile, gate: GateRule, identified: _Identified, watched: Mapping[str, float]
 ) -> ExcitationRule:
-    """Return how the sizes of motors' alarms grow with rates and changes of commands."""
+    """Return how the thresholds of motors' alarms grow with rates and changes of commands."""
     return fit_excitation(
         observer,
         gate,
@@ -515,7 +518,7 @@ def _excitation(
 def _changes(
     plant: Plant, channels: Sequence[FaultChannel], identified: _Identified
 ) -> tuple[ChangeRule | None, ReturnLevel | None]:
-    """Return how sudden losses are told from noise, and the nats that raise an alarm; None without.
+    """Return how sudden losses are told from noise, and the nats that raise an alarm; None if there is no such test.
 
     Means over commands that come slowly hold too little of a moment for it.
     """
@@ -530,7 +533,7 @@ def _changes(
 def _lasting(
     observer: ObserverProfile, gate: GateRule, identified: _Identified, watched: Mapping[str, float]
 ) -> tuple[Scatter, float]:
-    """Return how the means of healthy flights scatter, and how many times its size evidence has to reach in them."""
+    """Return how the means of healthy flights scatter, and the mean factor on the size that evidence has to reach."""
     motors = [place for place, channel in enumerate(observer.faults) if channel.input is not None]
     flights, scales = [], []
     for run, stretches in healthy_runs(observer, gate, identified.flights):
@@ -550,9 +553,9 @@ def _alarms(
     nats: ReturnLevel | None,
     lasting: tuple[Scatter, float] | None,
 ) -> list[Calibrated]:
-    """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and what nothing explains.
+    """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and unexplained residuals.
 
-    That one starts where a loss too small for an alarm cannot bring it.
+    The last one starts above the residuals that a loss too small for an alarm can cause.
     """
     rate_hz = identified.model.rate_hz
     share = FALSE_ALARMS_PER_HOUR / (len(channels) + 1)
