@@ -1,7 +1,7 @@
-"""CDR, the encoding of ROS 2 and PX4 messages on the wire: bytes -> nested fields, by the message's definition.
+"""CDR, the encoding of ROS 2 and PX4 messages in transit: bytes -> nested fields, by the message's definition.
 
-Every length is checked against the bytes that are there before anything is allocated, so a damaged or hostile
-payload costs no more than an honest one of its size. XTypes 1.3, section 7.4 (plain CDR, version 1).
+Every length is checked against the bytes that are left before anything is allocated, so a damaged or hostile payload
+costs no more than a valid one of its size. XTypes 1.3, section 7.4 (plain CDR, version 1).
 """
 
 from __future__ import annotations
@@ -14,18 +14,19 @@ from adapters.encoding.message_definition import Definitions, MessageField, cano
 from adapters.errors import PayloadError, TelemetryError
 
 MAX_NESTING = 32
-"""Messages within messages. Chosen: far more than interfaces of ROS 2 nest, far below the limit of the interpreter."""
+"""Most levels of nested messages. Chosen: far more than interfaces of ROS 2 nest, far below the limit of the
+interpreter."""
 
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _CODES = {
     **{"bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H"},
     **{"int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d"},
 }
-# Serializers fill up to four bytes; PX4 sends its whole buffer, which is larger than the message.
+# Serializers pad to four bytes; PX4 sends its whole buffer, which is larger than the message.
 _TRAILING_BYTES = 3
 _TRAILING_BYTES_PX4 = 128
 
-# (bytes behind the header, position) -> (value, position behind it); positions count from the header's end
+# (bytes after the header, position) -> (value, position after it); positions count from the header's end
 _Read = Callable[[bytes, int], tuple[Any, int]]
 
 
@@ -35,7 +36,7 @@ class CdrDecoder:
     Raises
     ------
     TelemetryError
-        The definition is not valid, lacks a type it uses, or needs what is not supported (wstring).
+        The definition is not valid, lacks a type it uses, or needs an unsupported type (wstring).
     """
 
     def __init__(self, definition_name: str, definition_text: str) -> None:
@@ -47,12 +48,12 @@ class CdrDecoder:
         }
 
     def decode(self, payload: bytes) -> dict[str, Any]:
-        """Return a message's fields: numbers, truth values, texts, lists of those and nested fields.
+        """Return a message's fields: numbers, truth values, texts, lists of these and nested fields.
 
         Raises
         ------
         PayloadError
-            The payload is cut off, too long, not plain CDR, or has a length that cannot be.
+            The payload is cut off, too long, not plain CDR, or has an impossible length.
         """
         head = self._readers.get(payload[:2])
         if head is None or len(payload) < 4:
@@ -74,7 +75,7 @@ class CdrDecoder:
 
 
 class _Compiler:
-    """Turns definitions into functions that read; each with the least number of bytes it takes."""
+    """Turns definitions into functions that read; each with the least number of bytes that it reads."""
 
     def __init__(self, order: str, definitions: Definitions) -> None:
         self._order = order
@@ -146,7 +147,7 @@ class _Compiler:
         return read_numbers, 4 if field.size is None else size * field.size
 
     def _text(self, data: bytes, position: int) -> tuple[str, int]:
-        """Read a text: its length with the closing zero (some leave both out), then UTF-8, wrong bytes marked."""
+        """Read a text: its length including the closing zero (some leave both out), then UTF-8, wrong bytes marked."""
         count, position = self._length(data, position)
         end = position + count
         if end > len(data) or (count and data[end - 1]):
@@ -155,7 +156,7 @@ class _Compiler:
 
 
 def _number(order: str, code: str) -> tuple[Callable[[bytes, int], tuple[Any, int]], int]:
-    """Return what reads a number, and its bytes."""
+    """Return the function that reads a number, and the number's bytes."""
     shape = struct.Struct(order + code)
     size = shape.size
 
@@ -171,6 +172,6 @@ def _many(field: MessageField) -> bool:
 
 
 def _check(field: MessageField, count: int, least: int, left: int) -> None:
-    """Refuse a number of elements that the bytes left cannot hold."""
+    """Reject a number of elements that the remaining bytes cannot hold."""
     if count * least > left or (field.at_most is not None and count > field.at_most):
         raise PayloadError(f"'{field.name}' claims {count} elements, more than there can be")

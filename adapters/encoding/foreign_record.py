@@ -1,7 +1,7 @@
 """Topics that others record in MCAP -> messages: ROS 2 (CDR by the definition in the file), JSON, protobuf.
 
 A message is named after its topic without the leading slash, as over Zenoh (:mod:`adapters.zenoh.zenoh_payload`), and
-has the same source, :data:`adapters.source.ZENOH`: one profile serves the robot live and its recordings.
+has the same source, :data:`adapters.source.ZENOH`: one profile serves a robot both live and in its recordings.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def foreign_name(topic: str) -> str:
 
 
 def foreign_decoder(topic: str, encoding: str, schema: Schema | None) -> Callable[[bytes, int], Message]:
-    """Return what turns the records of a log's channel into messages; it raises ValueError where a record is none.
+    """Return a function from the records of a log's channel to messages; it raises ValueError for an invalid record.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def _fields(encoding: str, schema: Schema | None) -> FieldDecoder:
 
 
 def _definition(schema: Schema) -> str:
-    """Return the .msg definition of a type: the file's own, else the one shipped."""
+    """Return the .msg definition of a type: the file's own, otherwise the built-in one."""
     if schema.encoding == "ros2msg" and schema.data.strip():
         return schema.data.decode(errors="replace")
     try:
@@ -66,10 +66,7 @@ def _definition(schema: Schema) -> str:
 
 
 def json_object(data: bytes) -> dict[str, Any]:
-    """Return the fields of a JSON record.
-
-    ValueError is raised where it is no JSON object.
-    """
+    """Return the fields of a JSON record; raise ValueError if it is not a JSON object."""
     try:
         fields = json.loads(data)
     except (ValueError, RecursionError) as error:
@@ -82,8 +79,8 @@ def json_object(data: bytes) -> dict[str, Any]:
 class ProtobufFields:
     """Reads protobuf messages of one class as plain fields.
 
-    Nested messages are fields within fields; one that is absent is left out. Times and durations of protobuf become
-    seconds and nanoseconds as ROS 2 names them (``sec``, ``nanosec``), enumerations their numbers, bytes base64.
+    Nested messages are fields within fields; an absent one is left out. Times and durations of protobuf become seconds
+    and nanoseconds with the names of ROS 2 (``sec``, ``nanosec``), enumerations become their numbers, bytes base64.
     """
 
     def __init__(self, pb_class: Any) -> None:
@@ -91,20 +88,17 @@ class ProtobufFields:
         self._known: dict[str, list[tuple[str, Callable[[Any], Any], bool]]] = {}
 
     def decode(self, data: bytes) -> dict[str, Any]:
-        """Return a message's fields.
-
-        ValueError is raised where the bytes are none.
-        """
+        """Return a message's fields; raise ValueError if the bytes are not such a message."""
         from google.protobuf.message import DecodeError
 
         try:
             return self._read(self._class.FromString(data))
         except (DecodeError, AttributeError, KeyError, TypeError) as error:
-            # also schemas that define protobuf's own types, or what a map is made of, as something else
+            # also schemas that define protobuf's own types, or the entries of a map, as something else
             raise ValueError(f"{self._class.DESCRIPTOR.full_name}: {error}") from error
 
     def _read(self, message: Any) -> dict[str, Any]:
-        # of the class: a field may bear these names
+        # of the class, since a field may have one of these names
         kind, has = type(message).DESCRIPTOR, type(message).HasField
         if kind.full_name in _MOMENTS:
             return {"sec": message.seconds, "nanosec": message.nanos}
@@ -140,7 +134,7 @@ def _same(value: Any) -> Any:
 
 
 def described(reasons: Mapping[str, str]) -> tuple[str, ...]:
-    """Return which topics could not be read and why, each reason once with its first topics."""
+    """Return which topics could not be read and why: each reason once with its first topics."""
     topics: dict[str, list[str]] = {}
     for topic, reason in reasons.items():
         topics.setdefault(reason, []).append(topic)

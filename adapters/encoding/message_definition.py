@@ -12,13 +12,13 @@ from adapters.errors import TelemetryError
 SHIPPED = Path(__file__).parent.parent / "definitions"
 
 MAX_DEFINITION_CHARACTERS = 1 << 20
-"""Chosen: definitions of ROS 2, with all that they refer to, have some thousands."""
+"""Longest definition, characters. Chosen: definitions of ROS 2, including all types they use, have some thousands."""
 
 _PRIMITIVES = {
     *("bool", "byte", "char", "float32", "float64", "string", "wstring"),
     *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
 }
-"""Of ROS 2's interface definition language."""
+"""Primitive types of ROS 2's interface definition language."""
 _NAME = r"[A-Za-z][A-Za-z0-9_]*"
 _TYPE = re.compile(rf"({_NAME}(?:/{_NAME})*)(?:<=\d{{1,9}})?(?:\[(<=)?(\d{{0,9}})\])?", re.ASCII)
 _FIELD = re.compile(_NAME, re.ASCII)
@@ -31,7 +31,7 @@ _STAMP = "int32 sec\nuint32 nanosec"
 class MessageField:
     """One field of a message: its type is primitive (``"float64"``) or a message as ``"package/Name"``.
 
-    A fixed-size array has a ``size``; a sequence, its length in front of its elements, may have ``at_most`` so many.
+    A fixed-size array has a ``size``. A sequence, which is preceded by its length, may be bounded by ``at_most``.
     """
 
     name: str
@@ -42,7 +42,7 @@ class MessageField:
 
     @property
     def primitive(self) -> bool:
-        """Whether the type is no message."""
+        """Whether the type is primitive."""
         return self.type in _PRIMITIVES
 
 
@@ -70,12 +70,12 @@ def parse_definitions(name: str, text: str) -> Definitions:
     """Return the fields of a type, and of those it uses, in their order by type (``"package/Name"``).
 
     The text is that of .msg files as ROS 2 writes it into MCAP files: further types follow a line of ``===`` and a line
-    ``MSG: package/Name``. Time and Duration of builtin_interfaces are known without.
+    ``MSG: package/Name``. Time and Duration of builtin_interfaces are built in.
 
     Raises
     ------
     TelemetryError
-        The text is no such definition, or the name none that :func:`canonical_type` reads.
+        The text is not such a definition, or :func:`canonical_type` cannot read the name.
     """
     if len(text) > MAX_DEFINITION_CHARACTERS:
         raise TelemetryError(f"definition of {name}: longer than {MAX_DEFINITION_CHARACTERS} characters")
@@ -96,12 +96,12 @@ def find_definition(name: str, folders: Sequence[Path]) -> str:
     """Return the definition of a type, with those of all types it uses, from .msg files.
 
     Each folder, then :data:`SHIPPED`, may hold ``package/msg/Name.msg``, ``package/Name.msg``, ``msg/Name.msg`` or
-    ``Name.msg``; the first found counts.
+    ``Name.msg``; the first one found is used.
 
     Raises
     ------
     TelemetryError
-        A type is defined nowhere, or its file is no definition.
+        A type is defined nowhere, or its file is not a definition.
     """
     texts: dict[str, str] = {}
     wanted = [canonical_type(name)]
@@ -134,7 +134,7 @@ def _definition_file(kind: str, folders: Sequence[Path]) -> Path:
 
 
 def _fields(kind: str, text: str) -> Iterator[MessageField]:
-    """Read the fields of one .msg text; constants, defaults and comments are of no use here."""
+    """Read the fields of one .msg text; constants, defaults and comments are ignored."""
     names: set[str] = set()
     for line in text.splitlines():
         words = line.partition("#")[0].split(maxsplit=2)
@@ -148,7 +148,10 @@ def _fields(kind: str, text: str) -> Iterator[MessageField]:
 
 
 def _is_constant(words: Sequence[str]) -> bool:
-    """Return whether a line is ``type NAME = value``, blanks around the sign or not; a default has none in front."""
+    """Return whether a line is ``type NAME = value``, with or without blanks around the sign.
+
+    A default has no sign before it.
+    """
     return len(words) > 1 and ("=" in words[1] or (words[-1].startswith("=") and len(words) == 3))
 
 
@@ -163,6 +166,6 @@ def _field(kind: str, name: str, match: re.Match[str]) -> MessageField:
     if not count:
         return MessageField(name, type_name, sequence=True)
     if not int(count):
-        # No such array exists; elements of no bytes could be claimed without end.
+        # Such an array does not exist; elements of no bytes could be claimed without end.
         raise TelemetryError(f"definition of {kind}: '{name}' is an array of no elements")
     return MessageField(name, type_name, size=int(count))

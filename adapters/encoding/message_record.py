@@ -1,4 +1,4 @@
-"""One telemetry message as a record of a log: encoding, and decoding by topic."""
+"""One telemetry message as a record of a log: encodes it, and decodes it by topic."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from adapters.encoding.typed_record import PACKAGE, TypedRecords, to_protobuf
 from adapters.message import LATEST_NS, Message
 from adapters.source import LINK, MAVLINK, OPERATOR, SOURCES, ZENOH, Source
 
-# Viewers ask for a schema; a JSON topic may carry any object.
+# Viewers require a schema; a JSON topic may have any object.
 _OWN = "fauio."
 _JSON_SCHEMA = Schema(f"{_OWN}Telemetry", "jsonschema", b'{"type": "object"}')
 
@@ -27,7 +27,7 @@ def _own_schema(name: str, **properties: Any) -> Schema:
 _TEXT = {"type": "string"}
 _TEXTS = {"type": "array", "items": _TEXT}
 _COMMAND = _own_schema("fauio.Command", id=_TEXT, channel=_TEXT, by=_TEXT, reason=_TEXT, until_ns={"type": "integer"})
-# by source and name; what is not here is anything's object
+# by source and name; all others have the schema of any object
 _OWN_SCHEMAS: Mapping[tuple[Source, str], Schema] = {
     (OPERATOR, "rules"): _own_schema(
         "fauio.Rules",
@@ -49,9 +49,8 @@ _OWN_SCHEMAS: Mapping[tuple[Source, str], Schema] = {
 }
 _INFINITE = re.compile(r'"(?:[^"\\]|\\.)*"|Infinity')
 
-# MAVLink's ids of systems and components have one byte.
 _LARGEST_ID = 255
-"""A byte: MAVLink's system and component."""
+"""Largest MAVLink id of a system or component: one byte."""
 
 Decode = Callable[[bytes, int], Message]
 
@@ -59,9 +58,9 @@ Decode = Callable[[bytes, int], Message]
 def encode(message: Message) -> Record:
     """Return a message as a record.
 
-    MAVLink messages are protobuf, as JSON only where the fields are not those of pymavlink's definition.
-    NaN stays a literal in JSON, which JSON proper lacks: a replay has to see the monitor's own input. Infinity is
-    1e999, which every reader takes for it.
+    MAVLink messages are protobuf, and JSON only if the fields are not those of pymavlink's definition. NaN stays a
+    literal in JSON, which standard JSON lacks: a replay has to read the same input as the monitor. Infinity is 1e999,
+    which every reader reads as infinity.
 
     Raises
     ------
@@ -88,7 +87,7 @@ def encode(message: Message) -> Record:
 
 
 def recorded_name(topic: str, encoding: str, schema: Schema | None) -> str | None:
-    """Return the name of the messages on a log's channel of ours, None where another program made it."""
+    """Return the name of the messages on a log's channel of ours, or None if another program made it."""
     source_name, _, name = topic.removeprefix("/").partition("/")
     source = SOURCES.get(source_name)
     if not name or source is None:
@@ -102,9 +101,9 @@ def recorded_name(topic: str, encoding: str, schema: Schema | None) -> str | Non
 
 
 def decoder(topic: str, encoding: str, schema: Schema | None) -> Decode:
-    """Return what turns the records of a log's channel, ours or others', into messages.
+    """Return a function from the records of a log's channel, ours or others', to messages.
 
-    It raises a ValueError where a record is none.
+    It raises a ValueError for an invalid record.
 
     Raises
     ------

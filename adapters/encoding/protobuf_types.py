@@ -20,7 +20,7 @@ TIMESTAMP: Final = "google.protobuf.Timestamp"
 class Field:
     """One field of a message class to build: a scalar, a time or the fields of a nested message, one or a list of them.
 
-    The name is a protobuf identifier (:func:`identifiers` makes some). Of an optional field absence is not zero.
+    The name is a protobuf identifier (see :func:`identifiers`). An optional field may be absent, which is not zero.
     """
 
     name: str
@@ -62,7 +62,7 @@ def _describe(proto: Any, full_name: str, fields: Sequence[Field]) -> None:
         else:
             entry.type = FieldDescriptorProto.Type.Value(f"TYPE_{field.kind.upper()}")
         if field.optional:
-            # proto3 spells presence as a union of one, named with a leading underscore
+            # proto3 expresses presence as a union of one, named with a leading underscore
             proto.oneof_decl.add(name=f"_{field.name}")
             entry.oneof_index = len(proto.oneof_decl) - 1
             entry.proto3_optional = True
@@ -70,7 +70,7 @@ def _describe(proto: Any, full_name: str, fields: Sequence[Field]) -> None:
 
 @functools.lru_cache(maxsize=4096)
 def protobuf_schema(pb_class: Any) -> Schema:
-    """Return the schema of a topic of such records: the class's FileDescriptorSet with all it depends on."""
+    """Return the schema of a topic of such records: the FileDescriptorSet of the class and of all it depends on."""
     files = descriptor_pb2.FileDescriptorSet()
     for file in (*pb_class.DESCRIPTOR.file.dependencies, pb_class.DESCRIPTOR.file):
         file.CopyToProto(files.file.add())
@@ -83,7 +83,7 @@ def class_from_schema(schema: Schema) -> Any:
     Raises
     ------
     ValueError
-        The schema is no FileDescriptorSet or lacks the message.
+        The schema is not a FileDescriptorSet or lacks the message.
     """
     pool = descriptor_pool.DescriptorPool()
     try:
@@ -96,10 +96,10 @@ def class_from_schema(schema: Schema) -> Any:
 
 @functools.lru_cache(maxsize=4096)
 def identifiers(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a distinct protobuf identifier for each name, the name itself where it is one.
+    """Return a distinct protobuf identifier for each name, the name itself if it is one.
 
-    Other characters become underscores; two names that would fall together, also in the lower camel case
-    that protobuf derives for JSON, are told apart by trailing numbers.
+    Other characters become underscores. Names that would be equal, also in the lower camel case that protobuf derives
+    for JSON, are distinguished by trailing numbers.
     """
     taken: set[str] = set()
     chosen = []

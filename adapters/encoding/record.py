@@ -9,7 +9,8 @@ from dataclasses import dataclass
 class Schema:
     """The type of a topic's records by its full name.
 
-    Ours are in ``"protobuf"`` (``data`` is a FileDescriptorSet) or ``"jsonschema"``; others use others.
+    Our schemas are in ``"protobuf"`` (``data`` is a FileDescriptorSet) or ``"jsonschema"``; other programs use other
+    encodings.
     """
 
     name: str
@@ -19,10 +20,10 @@ class Schema:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One encoded record, in ``"protobuf"`` or ``"json"``; others use others.
+    """One encoded record, in ``"protobuf"`` or ``"json"``; other programs use other encodings.
 
-    Times are Unix nanoseconds: the log time, and the publish time where it is another. ``component`` is the MAVLink
-    component that sent it, 0 where there is none.
+    Times are Unix nanoseconds: the log time, and the publish time if it differs. ``component`` is the MAVLink component
+    that sent it, 0 if there is none.
     """
 
     topic: str

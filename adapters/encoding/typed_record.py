@@ -40,20 +40,20 @@ _DTYPES: Final[Mapping[int, Any]] = {
     FieldDescriptorProto.TYPE_INT64: np.int64,
     FieldDescriptorProto.TYPE_UINT64: np.uint64,
 }
-"""Of the kinds of fields that columns can hold."""
+"""NumPy types of the kinds of fields that columns can hold."""
 _SCALARS: Final[Mapping[type, ProtobufScalar]] = {bool: "bool", int: "int64", float: "double", str: "string"}
 
 
 def to_protobuf(message: Message) -> tuple[Schema, bytes]:
     """Return the schema of a MAVLink message or a record of an onboard log, and the record in it.
 
-    Of an onboard log whole numbers become int64, others double (which holds a float exactly), arrays repeated, nested
-    types messages.
+    In a record of an onboard log, whole numbers become int64, others double (which holds a float exactly), arrays
+    repeated fields, nested types messages.
 
     Raises
     ------
     ValueError
-        The dialect has no such message, or a value or a name is none that the type can hold.
+        The dialect has no such message, or the type cannot hold a value or a name.
     """
     ids: dict[str, int] = {}
     if message.source is MAVLINK:
@@ -74,10 +74,9 @@ def to_protobuf(message: Message) -> tuple[Schema, bytes]:
 def mavlink_class(name: str, of_log: bool = False) -> Any:
     """Return the protobuf class of a MAVLink message: fields 1 and 2 are the sender's ids, then come its own.
 
-    Stamps may be as large as those of messages that stand for records of an onboard log, and with ``of_log`` as fine.
-
-    Text is a string, an array of numbers a repeated field. Where a message has a field ``system_id`` of its own, the
-    sender's is called ``sender_system_id``; readers know it by its number.
+    Stamps may be as large as those of messages from records of an onboard log, and with ``of_log`` as fine. Text is a
+    string, an array of numbers a repeated field. If a message has its own field ``system_id``, the sender's is called
+    ``sender_system_id``; readers recognise it by its number.
 
     Raises
     ------
@@ -101,7 +100,7 @@ def mavlink_class(name: str, of_log: bool = False) -> Any:
 def _layout(pb_class: Any) -> tuple[tuple[str, str], frozenset[str]]:
     """Return the names of the sender's ids in the class of a MAVLink message, and those of its own fields.
 
-    ValueError is raised where the ids are missing: the schema of a damaged file may have anything in their place.
+    ValueError is raised if the ids are missing: the schema of a damaged file may have anything instead.
     """
     fields = pb_class.DESCRIPTOR.fields
     ids = {field.number: field.name for field in fields if field.type == field.TYPE_UINT32 and not field.is_repeated}
@@ -116,7 +115,7 @@ def columns_class(columns: Columns) -> Any:
     Raises
     ------
     ValueError
-        They are neither those of MAVLink nor of an onboard log, or a typed record cannot hold them.
+        They are neither from MAVLink nor from an onboard log, or a typed record cannot hold them.
     """
     if columns.source is MAVLINK:
         stamps = columns.fields.get("time_boot_ms")
@@ -134,13 +133,13 @@ def columns_class(columns: Columns) -> Any:
 
 @functools.lru_cache(maxsize=4096)
 def _log_class(source: Source, name: str, fields: tuple[Field, ...]) -> Any:
-    """Return the class of an onboard log's records, whatever their instance."""
+    """Return the class of an onboard log's records, the same for all instances."""
     topic = name.partition("/")[0]
     return message_class(source.name, "".join(c if c.isalnum() else "_" for c in topic), fields)
 
 
 def _fields(values: Mapping[str, Any]) -> tuple[Field, ...]:
-    """Return names and kinds of a record's values; raise ValueError where a typed record cannot hold one."""
+    """Return names and kinds of a record's values; raise ValueError if a typed record cannot hold one."""
     if identifiers(tuple(values)) != tuple(values):
         raise ValueError("names that are no protobuf identifiers")
     return tuple(_field(name, value) for name, value in values.items())
@@ -161,9 +160,9 @@ def _field(name: str, value: Any) -> Field:
 
 
 class TypedRecords:
-    """Decodes the records of one topic that :func:`to_protobuf` made, one by one when called, or many at once.
+    """Decodes the records of one topic that :func:`to_protobuf` made, one per call or many at once.
 
-    ValueError is raised where the class is none of such messages.
+    ValueError is raised if the class is not one of such messages.
     """
 
     def __init__(self, source: Source, name: str, pb_class: Any) -> None:
@@ -177,10 +176,7 @@ class TypedRecords:
         self._numbers_only = len(self._dtypes) == len(fields) and not any(field.has_presence for field in fields)
 
     def __call__(self, data: bytes, time_ns: int) -> Message:
-        """Return one of them as a message.
-
-        ValueError is raised where it is none.
-        """
+        """Return a record as a message; raise ValueError if it is invalid."""
         fields = self._fields.decode(data)
         ids = [fields.pop(name) for name in self._ids]
         return Message(self._source, self._name, time_ns, fields, *ids)
@@ -188,7 +184,7 @@ class TypedRecords:
     def columns(
         self, data: Sequence[bytes], time_ns: NDArray[np.int64], position: NDArray[np.int64]
     ) -> list[Columns] | None:
-        """Return n of them as columns by sender, None where each has to be taken by itself.
+        """Return n records as columns by sender, or None if each has to be decoded by itself.
 
         ``time_ns`` and ``position`` (n,) are their times and their indices in the batch.
         """
@@ -201,7 +197,7 @@ class TypedRecords:
                 for name, dtype in self._dtypes.items()
             }
         except (DecodeError, ValueError):
-            # of lists that differ in length numpy makes no array
+            # numpy makes no array from lists of different lengths
             return None
         ids = [fields.pop(name).astype(np.int64) for name in self._ids]
         if not ids:

@@ -1,7 +1,7 @@
-"""Byte links that MAVLink comes over: UDP and TCP (either side) and serial, opened by URL.
+"""Byte links for MAVLink: UDP and TCP (either side) and serial, opened by URL.
 
-pymavlink's own connections are not used: they print to standard output, block while they reconnect, remember
-every address that ever sent, and a TCP server of theirs serves one client for good.
+pymavlink's own connections are not used: they print to standard output, block while they reconnect, and remember every
+address that ever sent; its TCP server serves one client for ever.
 """
 
 from __future__ import annotations
@@ -21,41 +21,43 @@ from adapters.errors import TelemetryError
 from adapters.mavlink.datagrams import DatagramBox
 
 UDP_BUFFER_BYTES = 1 << 22
-"""Kernel memory for packets that came while nobody read. A small packet costs about 1 KiB of it: seconds of several
-vehicles.
-"""
+"""Kernel memory for packets that wait to be read, bytes. A small packet takes about 1 KiB: seconds of several
+vehicles."""
 
 _READ_BYTES = 1 << 16
-"""The largest datagram, and more than a serial line or TCP gives at once."""
+"""Bytes of one read: the largest datagram, and more than a serial line or TCP delivers at once."""
 _MOST_OF_ONE = 256
-"""Datagrams of one sender in one read: a dozen times what a link of 1,000 packets a second brings in a batch of 20 ms.
-Of one that floods no more is looked at, so that it does not take the time of the others.
-"""
+"""Datagrams of one sender in one read: a dozen times the datagrams that a link of 1,000 packets a second brings in a
+batch of 20 ms. More of a sender that floods are not processed, so that they do not take the time of the others."""
 _RETRY_S = 0.5
-"""Chosen: a ground station that restarts is back within a second, and trying twice a second costs nothing."""
+"""Time between attempts to connect. Chosen: a ground station that restarts is back within a second, and trying twice a
+second costs nothing."""
 _CONNECT_S = 1.0
-"""TCP tries again after a second: an answer that takes longer was lost, and so would be the next reads."""
+"""Longest wait for a connection: TCP tries again after a second, so an answer that takes longer was lost, and so would
+be the next reads."""
 _BAUD = 57_600
-"""What telemetry radios (SiK) and autopilots' TELEM ports are set to when they are new."""
+"""Default baud rate of telemetry radios (SiK) and of autopilots' TELEM ports."""
 _HELP = "use udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD"
 
-# What Linux tells about each datagram, and how it is asked for room; the socket module names none. See socket(7).
+# Linux socket options for data about each datagram and for buffer size, which the socket module does not name. See
+# socket(7).
 _SO_RCVBUFFORCE = 33
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
 
 Piece = tuple[Hashable, bytes, int]
-"""Who sent it (equal for equal senders), the bytes, and their Unix time of arrival in nanoseconds."""
+"""The sender (equal for equal senders), the bytes, and their Unix time of arrival in nanoseconds."""
 
 
 class ByteLink(Protocol):
-    """What all links have in common.
+    """The interface that all links have in common.
 
-    ``connections`` counts how often a connection was made, the first time included; ``overruns`` datagrams dropped
-    because they were not read in time, by the kernel (0 where it does not say) or, where their sender floods, here.
+    ``connections`` counts how often a connection was made, including the first time. ``overruns`` counts datagrams
+    dropped because they were not read in time, by the kernel (0 if it does not report them) or, if their sender floods,
+    here.
 
-    ``stamps_arrivals`` says whether the kernel notes when each piece arrives, so that it may wait there without harm.
-    Otherwise the time of arrival is that of reading.
+    ``stamps_arrivals`` says whether the kernel notes when each piece arrives, so that the piece may wait there without
+    harm. Otherwise the time of arrival is the time of reading.
     """
 
     connections: int
@@ -65,10 +67,10 @@ class ByteLink(Protocol):
     def overruns(self) -> int: ...  # noqa: D102
 
     def read(self, timeout_s: float) -> list[Piece]:
-        """Return what has arrived, each piece with its sender and time; wait at most so long for the first."""
+        """Return what has arrived, each piece with its sender and time; wait at most ``timeout_s`` for the first."""
 
     def write(self, data: bytes, to: Iterable[Hashable]) -> None:
-        """Send, to the given senders of earlier pieces where the link has several; what cannot go out is lost."""
+        """Send to the given senders of earlier pieces, if the link has several; bytes that cannot be sent are lost."""
 
     def close(self) -> None:
         """Close the link."""
@@ -80,17 +82,17 @@ def open_byte_link(url: str, may_send: bool = False) -> ByteLink:
     Parameters
     ----------
     url : str
-        ``udpin:HOST:PORT`` (binds to that address; ``udp:`` is the same), ``udpout:HOST:PORT`` (hears who
-        answers from that address), ``tcp:HOST:PORT`` (connects, again and again if need be),
-        ``tcpin:HOST:PORT`` (listens) or ``serial:DEVICE[:BAUD]``.
+        ``udpin:HOST:PORT`` (binds to that address; ``udp:`` is the same), ``udpout:HOST:PORT`` (receives answers from
+        that address), ``tcp:HOST:PORT`` (connects, and reconnects), ``tcpin:HOST:PORT`` (listens) or
+        ``serial:DEVICE[:BAUD]``.
     may_send : bool
-        Whether the user of the link will send; without that nobody would answer a ``udpout``.
+        Whether the user of the link will send; if not, nobody would answer a ``udpout``.
 
     Raises
     ------
     TelemetryError
-        The URL is not understood, the address cannot be bound or resolved, the device cannot be opened, or the
-        link works only for those who send.
+        The URL is not understood, the address cannot be bound or resolved, the device cannot be opened, or the link
+        works only for those who send.
     """
     kind, _, where = url.partition(":")
     if kind == "serial" and where:
@@ -116,12 +118,12 @@ Address = tuple[socket.AddressFamily, Any]
 
 
 def resolve(url: str, host_port: str) -> Address:
-    """Return family and address of ``HOST:PORT``, ``[IPv6]:PORT`` included.
+    """Return family and address of ``HOST:PORT``, including ``[IPv6]:PORT``.
 
     Raises
     ------
     TelemetryError
-        It is not of this form, or the host is not known; the message starts with ``url``.
+        It does not have this form, or the host is not known; the message starts with ``url``.
     """
     host, colon, port = host_port.rpartition(":")
     if not colon or not host or not port.isdecimal() or int(port) > 0xFFFF:
@@ -134,12 +136,12 @@ def resolve(url: str, host_port: str) -> Address:
 
 
 def udp_address(url: str, said: str = "") -> Address:
-    """Return the address to send datagrams to of ``udp:HOST:PORT``; ``udpout:`` is the same.
+    """Return the address to which ``udp:HOST:PORT`` sends datagrams; ``udpout:`` is the same.
 
     Raises
     ------
     TelemetryError
-        As of :func:`resolve`; the message starts with what was ``said``, by default ``url``.
+        See :func:`resolve`; the message starts with ``said``, by default ``url``.
     """
     kind, _, where = url.partition(":")
     if kind not in ("udp", "udpout"):
@@ -174,7 +176,7 @@ def _towards(url: str, address: Address) -> socket.socket:
 def _send(connection: socket.socket, data: bytes) -> None:
     with contextlib.suppress(OSError):
         if connection.send(data) < len(data):
-            # The rest would come behind a gap. The reader sees the end and connects anew.
+            # The rest would come after a gap. The reader sees the end and reconnects.
             connection.shutdown(socket.SHUT_RDWR)
 
 
@@ -183,13 +185,13 @@ def _readable(*sources: Any, timeout_s: float) -> list[Any]:
 
 
 class _Udp:
-    """Datagrams to one address, whoever sends them; of a connected socket, those from its peer alone."""
+    """Datagrams to one address from any sender; of a connected socket, only those from its peer."""
 
     def __init__(self, opened: socket.socket, connected: bool) -> None:
         self.connections = 1
         self._socket = opened
         self._connected = connected
-        # A burst has to fit while the reader is busy; the kernel cuts this down to what it allows, but for root.
+        # A burst has to fit while the reader is busy; the kernel reduces this to its limit, except for root.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, UDP_BUFFER_BYTES)
         with contextlib.suppress(OSError):
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, UDP_BUFFER_BYTES)
@@ -221,7 +223,7 @@ class _Udp:
 
 
 class _Tcp:
-    """What both sides of a TCP connection have in common: its socket, None while there is none."""
+    """The common part of both sides of a TCP connection: its socket, None while there is none."""
 
     stamps_arrivals = False
     overruns = 0
@@ -282,7 +284,7 @@ class _TcpClient(_Tcp):
             self._retry_at = time.monotonic() + _RETRY_S
             return False
         attempt.setblocking(False)
-        # A peer that vanished without a word is noticed by the kernel, not by silence.
+        # The kernel notices a peer that vanished without closing; silence alone would not show it.
         attempt.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self._socket = attempt
         self.connections += 1
@@ -294,7 +296,7 @@ class _TcpClient(_Tcp):
 
 
 class _TcpServer(_Tcp):
-    """A listening TCP socket; the newest client is the one that is heard."""
+    """A listening TCP socket; only the newest client is received."""
 
     def __init__(self, url: str, address: Address) -> None:
         super().__init__()
@@ -363,7 +365,7 @@ class _Serial:
         try:
             if not _readable(self._port, timeout_s=timeout_s):
                 return []
-            # Readable without bytes is how a device says that it has gone.
+            # A device that is readable without bytes has gone.
             if data := self._port.read(_READ_BYTES):
                 return [(self.connections, bytes(data), time.time_ns())]
         except (OSError, ValueError):
@@ -376,7 +378,7 @@ class _Serial:
     def write(self, data: bytes, to: Iterable[Hashable]) -> None:
         del to
         if (port := self._port) is not None:
-            # Closed by the reader in between, a port raises one of these. Full, it would never return.
+            # A port that the reader closed meanwhile raises one of these; a full port would block for ever.
             with contextlib.suppress(OSError, ValueError, TypeError):
                 if select.select((), (port,), (), 0.0)[1]:
                     port.write(data)

@@ -1,7 +1,7 @@
-"""Packets of an onboard computer beside an autopilot: that it is there, how it is doing, and what it has to say.
+"""Packets of an onboard computer beside an autopilot: its heartbeat, its load, and its texts.
 
 Logic without clock and socket: the times are given, the packets are returned. A companion has its vehicle's system id,
-so that a ground station shows what it says with the vehicle.
+so that a ground station shows its texts with the vehicle.
 """
 
 from __future__ import annotations
@@ -13,18 +13,19 @@ from adapters.mavlink.signing import SigningKey, unix_stamp
 COMPANION = 191
 """MAV_COMP_ID_ONBOARD_COMPUTER."""
 CHUNK = 50
-"""Bytes of a STATUSTEXT; longer texts go on in the next one."""
+"""Bytes of a STATUSTEXT; a longer text continues in the next one."""
 MAX_CHUNKS = 4
-"""Chosen: what a ground station shows in a few lines; each is a packet on a slow radio."""
+"""Most packets of a text. Chosen: what a ground station shows in a few lines; each packet loads a slow
+radio."""
 CRITICAL, WARNING, NOTICE = 2, 4, 5
 """MAV_SEVERITY_CRITICAL, _WARNING and _NOTICE."""
 
 _NONE8, _NONE16, _NONE32 = 0xFF, 0x7FFF, 0xFFFFFFFF
-"""Largest numbers of their kinds: what ONBOARD_COMPUTER_STATUS does not say."""
+"""Largest numbers of their types, which ONBOARD_COMPUTER_STATUS uses for unknown values."""
 
 
 class Companion:
-    """Makes the packets, under the system ids of any number of vehicles; signed with the key, if there is one."""
+    """Makes the packets, under the system ids of any number of vehicles; signs them if there is a key."""
 
     def __init__(self, key: SigningKey | None = None, component: int = COMPANION) -> None:
         from pymavlink.dialects.v20 import ardupilotmega
@@ -38,7 +39,7 @@ class Companion:
         self._text_id = 0
 
     def heartbeat(self, system: int, now_ns: int, *, critical: bool) -> bytes:
-        """Return a heartbeat; ``critical`` while an alarm is."""
+        """Return a heartbeat; its state is critical if ``critical``, while an alarm is active."""
         names = self._names
         state = names.MAV_STATE_CRITICAL if critical else names.MAV_STATE_ACTIVE
         kind = names.MAV_TYPE_ONBOARD_CONTROLLER
@@ -47,7 +48,7 @@ class Companion:
         )
 
     def computer_status(self, system: int, now_ns: int, *, uptime_ms: int, cpu_percent: int, ram_mb: int) -> bytes:
-        """Return how the computer is doing: since when it runs, its load and the memory that the monitor takes."""
+        """Return the computer's status: since when it runs, its load and the memory of the monitor."""
         message = self._names.MAVLink_onboard_computer_status_message(
             time_usec=now_ns // 1000,
             uptime=uptime_ms & _NONE32,
@@ -73,13 +74,13 @@ class Companion:
         return self.pack(system, message, now_ns)
 
     def text(self, system: int, severity: int, text: str, now_ns: int) -> list[bytes]:
-        """Return a text as one packet or several, cut at 200 bytes; letters beyond ASCII become a question mark."""
+        """Return a text as one or several packets, cut at 200 bytes; characters beyond ASCII become question marks."""
         data = text.encode("ascii", "replace")[: CHUNK * MAX_CHUNKS]
         chunks = [data[start : start + CHUNK] for start in range(0, len(data), CHUNK)] or [b""]
         number = 0
         if len(chunks) > 1:
             number = self._text_id = self._text_id % 0xFFFF + 1
-            # a chunk that is full goes on: the one behind it may be empty
+            # a full chunk says that another follows, which may be empty
             if len(chunks[-1]) == CHUNK and len(chunks) < MAX_CHUNKS:
                 chunks.append(b"")
         return [
@@ -88,7 +89,7 @@ class Companion:
         ]
 
     def pack(self, system: int, message: Any, now_ns: int) -> bytes:
-        """Return a message of pymavlink's as the next packet under a system id, signed at a Unix time."""
+        """Return a pymavlink message as the next packet under a system id, signed at a Unix time."""
         packer = self._packer
         packer.srcSystem, packer.seq = system, self._sequences.get(system, 0)
         packer.signing.timestamp = max(packer.signing.timestamp, unix_stamp(now_ns))

@@ -1,4 +1,4 @@
-"""Whose heartbeat it is, and which flight mode it tells of."""
+"""Heartbeats: whether an autopilot sent one, its kind of vehicle and its flight mode."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from adapters.source import MAVLINK
 
 @functools.cache
 def enumerated(enumeration: str, number: int) -> str | None:
-    """Return the name of a number in one of MAVLink's enumerations, small and without the enumeration's."""
+    """Return the name of a number in a MAVLink enumeration, in lower case and without its prefix."""
     from pymavlink.dialects.v20 import ardupilotmega
 
     entry = ardupilotmega.enums[enumeration].get(number)
@@ -22,7 +22,7 @@ def enumerated(enumeration: str, number: int) -> str | None:
 
 
 def vehicle_type(number: int | None) -> str:
-    """Return what HEARTBEAT.type says of a vehicle (``quadrotor``, ``fixed wing``); empty where it says nothing.
+    """Return the kind of vehicle by HEARTBEAT.type (``quadrotor``, ``fixed wing``), empty if it names none.
 
     The type 0 is "generic": an autopilot that does not know.
     """
@@ -34,7 +34,7 @@ AUTOPILOT = 1
 ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED of ``base_mode``."""
 NO_AUTOPILOT = 8
-"""MAV_AUTOPILOT_INVALID: a component that is no flight controller."""
+"""MAV_AUTOPILOT_INVALID: a component that is not a flight controller."""
 ARDUPILOT = 3
 """MAV_AUTOPILOT_ARDUPILOTMEGA."""
 PX4 = 12
@@ -46,8 +46,8 @@ _GROUND_STATION = 6
 def autopilot_heartbeats(columns: Columns) -> NDArray[np.bool_]:
     """Return which of n messages are heartbeats of an autopilot (n,).
 
-    Neither a ground station's (type 6) nor that of a component without one (autopilot 8: gimbals, cameras, companion
-    computers).
+    Heartbeats of a ground station (type 6) and of components without an autopilot (autopilot 8: gimbals, cameras,
+    companion computers) are not.
     """
     count = len(columns.position)
     if columns.name != "HEARTBEAT" or columns.source is not MAVLINK:
@@ -59,7 +59,7 @@ def autopilot_heartbeats(columns: Columns) -> NDArray[np.bool_]:
 
 
 def is_autopilot_heartbeat(message: Message) -> bool:
-    """Return whether a message is the heartbeat of an autopilot, as :func:`autopilot_heartbeats` has it."""
+    """Return whether a message is the heartbeat of an autopilot, see :func:`autopilot_heartbeats`."""
     return (
         message.name == "HEARTBEAT"
         and message.source is MAVLINK
@@ -69,7 +69,7 @@ def is_autopilot_heartbeat(message: Message) -> bool:
 
 
 def mode_name(autopilot: int, kind: int, base: int, custom: int) -> str:
-    """Return the name of a mode, an empty one where nobody knows it.
+    """Return the name of a mode, empty if it is unknown.
 
     ``autopilot``, ``kind`` (MAV_TYPE), ``base`` and ``custom`` are those of the heartbeat.
     """

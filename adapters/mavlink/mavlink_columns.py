@@ -1,4 +1,4 @@
-"""MAVLink packets as columns, the same for the many of a log and the few that a link brings at a time."""
+"""MAVLink packets as columns, both for the many packets of a log and for the few that a link brings at a time."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from adapters.message import Message
 from adapters.source import LINK, MAVLINK
 
 SEQUENCE = "sequence"
-"""Name of the finding that packets of one sender bear two series of sequence numbers; ``conflicts`` counts them."""
+"""Name of the finding that packets of one sender have two series of sequence numbers; ``conflicts`` counts them."""
 _REPORT_NS = 1_000_000_000
-"""How often it is reported: once a second, as updates of alarms come."""
+"""Interval of its reports: once a second, like updates of alarms."""
 
 
 @functools.cache
@@ -27,17 +27,17 @@ def kinds() -> tuple[MavlinkType, ...]:
 
 @functools.cache
 def dialect() -> Dialect:
-    """Return what packets of :func:`kinds` are checked by."""
+    """Return the definitions by which packets of :func:`kinds` are checked."""
     return Dialect(sorted(mavlink_types()), [kind.extra for kind in kinds()], [kind.size for kind in kinds()])
 
 
 def wanted_kinds(only: Container[str] | None = None, without: Container[str] = ()) -> bytes:
-    """Return for each of :func:`kinds` 1 where it is among some names (None: all) and not among others, else 0."""
+    """Return 1 for each of :func:`kinds` whose name is in ``only`` (None: all) and not in ``without``, otherwise 0."""
     return bytes((only is None or kind.name in only) and kind.name not in without for kind in kinds())
 
 
 def decoded(packets: PacketList, wanted: bytes) -> Batch:
-    """Return the messages of wanted kinds, in the order of arrival, as a batch; those with text are no columns."""
+    """Return the messages of wanted kinds, in the order of arrival, as a batch; those with text are not in columns."""
     groups, position, received_ns, content = packets.groups(wanted)
     columns: list[Columns] = []
     others: dict[int, Message] = {}
@@ -55,18 +55,18 @@ def decoded(packets: PacketList, wanted: bytes) -> Batch:
 
 
 class SequenceFindings:
-    """What the sequence numbers of a link or a log say: what was lost, and who has two senders."""
+    """Findings from the sequence numbers of a link or a log: lost packets, and ids that two senders share."""
 
     def __init__(self) -> None:
         self._counter = SequenceCounter()
         self._reported_ns: dict[tuple[int, int], int] = {}
 
     def lost(self) -> dict[int, int]:
-        """Return the packets lost by system, of systems that lost any."""
+        """Return the lost packets by system, for systems that lost any."""
         return self._counter.lost()
 
     def decoded(self, packets: PacketList, wanted: bytes) -> Batch:
-        """Return :func:`decoded` with a message of source ``link``, once a second, where a sender shows to be two."""
+        """Return :func:`decoded` with a message of source ``link``, once a second, if an id has two senders."""
         parts, start = [], 0
         conflicts = self._counter.count(packets, wanted)
         batch = decoded(packets, wanted)

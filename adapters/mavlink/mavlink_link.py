@@ -1,4 +1,4 @@
-"""Live MAVLink: packets from a UDP, TCP or serial link -> batches. It sends only where it may."""
+"""Live MAVLink: packets from a UDP, TCP or serial link -> batches. It sends only if that is allowed."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from adapters.mavlink.message_rates import RateRequests
 from adapters.mavlink.packets import PacketList, PacketScanner
 from adapters.mavlink.signing import SigningGuard, SigningStatistics
 
-# Senders whose unfinished packets are kept apart; more are unlikely, and none can exhaust memory.
+# Senders whose unfinished packets are kept apart; more are unlikely, and the limit bounds the memory.
 _SENDERS = 64
 _PIECES = 1024
-"""Pieces of one batch: a flood of junk must not keep the caller here."""
+"""Most pieces of one batch: a flood of junk must not keep the caller here."""
 _ANSWER_NS = 10_000_000_000
 _SETTLING_NS = 1_000_000_000
 _COUNTS = ("unknown", "bad_checksums", "damaged", "skipped_bytes")
-# It carries the secret that packets are signed with, and everything given out here is recorded.
+# This message carries the secret that packets are signed with, and everything returned here is recorded.
 _SECRET = "SETUP_SIGNING"  # noqa: S105 - the name of a message
 
 
 @dataclass(frozen=True, slots=True)
 class MavlinkLinkStatistics:
-    """What came over a link so far."""
+    """Counts of a link so far."""
 
-    messages: int  # messages received, refused ones not among them
+    messages: int  # messages received, without refused ones
     # Packets missing by the sequence numbers of each system and component. A router that passes on only some of the
-    # messages makes the others count as lost; a gap of more than 127 packets counts as none, nor what a ground station
-    # sent elsewhere.
+    # messages makes the others count as lost. A gap of more than 127 packets does not count, nor do packets that a
+    # ground station sent elsewhere.
     lost: int
-    lost_by_system: Mapping[int, int]  # the same of each system that lost any
+    lost_by_system: Mapping[int, int]  # the same for each system that lost any
     unknown: int  # packets of messages that are not in the dialect
-    bad_checksums: int  # packets with a wrong checksum, as far as damage left where they begin
-    damaged: int  # places with bytes that belong to no intact packet, and those bytes
+    bad_checksums: int  # packets with a wrong checksum, as far as their begin survived the damage
+    damaged: int  # places with bytes that belong to no intact packet, and the number of these bytes
     skipped_bytes: int
     connections: int  # how often a connection was made
-    # UDP datagrams dropped because they were not read in time, by the kernel or, of senders that flood, by the link
+    # UDP datagrams dropped because they were not read in time, by the kernel or, if a sender floods, by the link
     overruns: int
     signing: SigningStatistics  # packets refused for their signature; all zero without a key
 
@@ -50,12 +50,12 @@ class MavlinkLink:
     """An open link.
 
     ``url`` is one of :func:`adapters.mavlink.byte_link.open_byte_link`. The ``guard`` refuses packets for their
-    signatures, links of the same vehicles share one; without it signatures are not looked at. ``may_send`` says whether
-    :meth:`send` is allowed, and whether ``requests`` for message rates go out.
+    signatures, and links of the same vehicles share one; without it signatures are not checked. ``may_send`` says
+    whether :meth:`send` is allowed, and whether ``requests`` for message rates are sent.
 
-    ``batch_s`` is the time from one batch to the next while telemetry comes, seconds: what arrives meanwhile waits in
-    the kernel, which notes its time of arrival. 0 hands on at once whatever is there. The first packet after a longer
-    silence never waits.
+    ``batch_s`` is the time from one batch to the next while telemetry arrives, seconds: packets that arrive meanwhile
+    wait in the kernel, which notes their time of arrival. With 0 everything is returned at once. The first packet after
+    a longer silence never waits.
     """
 
     def __init__(
@@ -68,14 +68,14 @@ class MavlinkLink:
     ) -> None:
         self._url = url
         self._may_send = may_send
-        # Half a second of work that the first packet would have to wait for.
+        # Done here: it takes half a second, for which the first packet would have to wait.
         self._dialect = dialect()
         self._wanted = wanted_kinds(without=(_SECRET,))
         self._link = open_byte_link(url, may_send)
         self._guard = guard
         self._refused: Counter[str] = Counter()
         self._scanners: OrderedDict[Hashable, PacketScanner] = OrderedDict()
-        self._counts = dict.fromkeys(_COUNTS, 0)  # of senders that were forgotten
+        self._counts = dict.fromkeys(_COUNTS, 0)  # counts of senders that were forgotten
         self._sequences = SequenceFindings()
         self._telemetry_ns: OrderedDict[Hashable, int] = OrderedDict()
         self._received_ns = 0
@@ -123,7 +123,7 @@ class MavlinkLink:
     def send(self, packets: Iterable[bytes]) -> None:
         """Send packets to the other side: on a UDP port to all who lately sent telemetry to it.
 
-        What the network does not take is lost. Another thread than that of :meth:`receive` may call it.
+        Packets that the network does not accept are lost. Another thread than that of :meth:`receive` may call it.
 
         Raises
         ------
@@ -144,7 +144,7 @@ class MavlinkLink:
         return self._received_ns
 
     def _receive(self, sender: Hashable, data: bytes, arrived_ns: int, packets: PacketList) -> None:
-        """Append the packets that a piece completes where they are admitted."""
+        """Append the packets that a piece completes and the guard admits."""
         before = len(packets)
         self._scanner(sender).scan(data, packets, arrived_ns)
         if self._guard is not None:

@@ -1,8 +1,8 @@
-"""MAVLink messages by pymavlink's tables, and what the head of a single packet says.
+"""MAVLink messages by pymavlink's tables, and the header fields of a single packet.
 
-The tables of message definitions are pymavlink's and so are the values: the tests hold every message of the
-dialect against pymavlink's own decoder. Packets are found in bytes by :mod:`adapters.mavlink.packets`; signatures are
-verified by :mod:`adapters.mavlink.signing`.
+The tables of message definitions are pymavlink's and so are the values: the tests compare every message of the dialect
+with pymavlink's own decoder. Packets are found in bytes by :mod:`adapters.mavlink.packets`; signatures are verified by
+:mod:`adapters.mavlink.signing`.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ MAGIC_1 = 0xFE
 MAGIC_2 = 0xFD
 """First byte of a packet of MAVLink 2."""
 _SIGNED = 1
-"""MAVLINK_IFLAG_SIGNED, the one incompatibility flag there is."""
+"""MAVLINK_IFLAG_SIGNED, the only incompatibility flag."""
 
 
 class MavlinkType:
-    """What is needed of one message definition, pymavlink's class, to decode its packets.
+    """The parts of one message definition, pymavlink's class, that are needed to decode its packets.
 
-    ``size`` are the bytes of a payload from which nothing is cut off, ``extra`` stands for the definition in checksums.
+    ``size`` is the length of a payload without truncation, bytes; ``extra`` is the definition's extra byte in
+    checksums.
     """
 
     def __init__(self, table: Any) -> None:
@@ -48,7 +49,7 @@ class MavlinkType:
 
     @functools.cached_property
     def layout(self) -> np.dtype[np.void] | None:
-        """Where the fields are in a payload, in the order of their names; None with text."""
+        """Positions of the fields in a payload, in the order of their names; None for a message with text."""
         table = self.table
         if "char" in table.fieldtypes:
             return None
@@ -63,14 +64,14 @@ class MavlinkType:
         return {} if self.layout is None else field_places(self.layout)
 
     def checksum(self, packet: bytes) -> int:
-        """Return the checksum that belongs behind a packet's head and payload."""
+        """Return the checksum for a packet's header and payload."""
         return checksum(packet, self.extra)
 
     def decode(self, payload: bytes, received_ns: int, system: int, component: int) -> Message:
-        """Return the message of a payload that is as long as the definition has it.
+        """Return the message of a payload of full length.
 
         Use it for messages with text; :func:`adapters.mavlink.mavlink_columns.decoded` decodes all others. Numbers are
-        int or float, arrays lists, text ends at its first zero byte.
+        int or float, arrays are lists, text ends at its first zero byte.
         """
         values = self._unpack(payload)
         fields = {name: _field(values[place]) for name, place in self._places}
@@ -99,7 +100,7 @@ def packet_sender(packet: bytes) -> tuple[int, int]:
 
 
 def packet_signed(packet: bytes) -> bool:
-    """Return whether a packet says that it is signed."""
+    """Return whether a packet's header marks it as signed."""
     return packet[0] == MAGIC_2 and bool(packet[2] & _SIGNED)
 
 
@@ -115,13 +116,13 @@ _ESC_STATUS = SimpleNamespace(
     unpacker=struct.Struct("<Q4i4f4fB"),
     crc_extra=10,
 )
-"""A message of MAVLink's common dialect, sent by PX4, that pymavlink's dialects lack, for it is marked as work in
+"""A message of MAVLink's common dialect, sent by PX4, that pymavlink's dialects lack because it is marked as work in
 progress; with the attributes of pymavlink's classes."""
 
 
 @functools.cache
 def mavlink_types() -> dict[int, MavlinkType]:
-    """Return the messages of the ardupilotmega dialect (common included) by id, and ESC_STATUS."""
+    """Return the messages of the ardupilotmega dialect (including common) by id, and ESC_STATUS."""
     from pymavlink.dialects.v20 import ardupilotmega
 
     return {number: MavlinkType(table) for number, table in ({291: _ESC_STATUS} | ardupilotmega.mavlink_map).items()}

@@ -1,9 +1,10 @@
-"""Message rates asked of vehicles: what to send, where sending is allowed, and what came of it.
+"""Requests for message rates to vehicles: what to send, if sending is allowed, and the result of each request.
 
-Logic without clock and socket: the times are given, the packets are returned. What is waited for goes by the steady
-time (nanoseconds of the monotonic clock), which nobody sets; Unix time only stamps signatures. The monitor presents
-itself as an onboard computer with a system id of its own and not as the ground station, whose loss the vehicle has to
-notice: PX4 takes any heartbeat of a ground station for that, ArduPilot any of system 255.
+Logic without clock and socket: the times are given, the packets are returned. Waiting is measured by the steady time
+(nanoseconds of the monotonic clock), which nobody sets; Unix time only stamps signatures.
+
+The monitor presents itself as an onboard computer with a system id of its own and not as the ground station, whose loss
+the vehicle has to notice: PX4 takes any heartbeat of a ground station for that, ArduPilot any of system 255.
 """
 
 from __future__ import annotations
@@ -24,13 +25,12 @@ from adapters.message import SECOND_NS
 from adapters.source import MAVLINK
 
 OWN_IDS = (245, 191)
-"""System and component id that requests are sent under: an onboard computer that is no vehicle."""
+"""System and component id of the sender of requests: an onboard computer that is not a vehicle."""
 
 _ENOUGH = 0.7
-"""Share of the rate that was asked for. Chosen: a link that loses a tenth and a scheduler that rounds periods are no
-news, half the rate is.
-"""
-# A rate is measured over so many messages, and over no less than the time.
+"""Share of the requested rate below which a message is requested. Chosen: a link that loses a tenth and a scheduler
+that rounds periods are normal, half the rate is not."""
+# A rate is measured over at least so many messages, and at least so long.
 _MEASURED_MESSAGES = 5
 _MEASURED_S = 2.0
 _ACK_NS = 1_500_000_000
@@ -42,9 +42,9 @@ _LARGEST_HZ = 1000.0
 
 @dataclass(slots=True)
 class _Request:
-    """What became of one request to a vehicle's autopilot, and the present measurement of its rate.
+    """State of one request to a vehicle's autopilot, and the present measurement of its rate.
 
-    Where the vehicle said that it will not (``refused``) it is not asked again.
+    If the vehicle has refused (``refused``), it is not asked again.
     """
 
     system: int
@@ -59,7 +59,7 @@ class _Request:
     not_before_ns: int = 0
 
     def measure(self, now_ns: int) -> None:
-        """Measure the rate where enough time and messages have passed."""
+        """Measure the rate if enough time and messages have passed."""
         elapsed_s = (now_ns - self.since_ns) / 1e9
         if elapsed_s < max(_MEASURED_S, _MEASURED_MESSAGES / self.asked_hz):
             return
@@ -73,7 +73,7 @@ class _Request:
         self.arrivals, self.since_ns = 0, now_ns
 
     def sent(self, now_ns: int) -> None:
-        """Note that it was sent; the next one waits twice as long."""
+        """Note that the request was sent; the wait before the next one doubles."""
         self.low = False
         self.not_before_ns = now_ns + self.retry_ns
         self.retry_ns = min(2 * self.retry_ns, _LAST_RETRY_NS)
@@ -82,7 +82,7 @@ class _Request:
 
 @dataclass(slots=True)
 class _Vehicle:
-    """One vehicle; an acknowledgement does not say which message it is about, so only one request is open at a time."""
+    """One vehicle. An acknowledgement does not name its message, so only one request is open at a time."""
 
     component: int
     requests: dict[str, _Request]
@@ -95,9 +95,9 @@ class _Vehicle:
 class RateRequests:
     """Asks the vehicles of one link for message rates, and sends a heartbeat every second.
 
-    A vehicle is asked for a message while it is heard and the message comes at less than 70 % of the rate, again and
-    again at growing intervals of at most about a minute, unless it has refused. Packets are signed with the key, if
-    there is one, and sent under the given system and component id.
+    A vehicle is asked for a message while it is received and the message comes at less than 70 % of the rate, again and
+    again at growing intervals of at most about a minute, unless it has refused. Packets are signed if there is a key,
+    and sent under the given system and component id.
     """
 
     def __init__(self, key: SigningKey | None = None, ids: tuple[int, int] = OWN_IDS) -> None:
@@ -109,7 +109,7 @@ class RateRequests:
         self._heartbeat_ns: int | None = None
 
     def ask(self, system: int, rates: Mapping[str, float], component: int = AUTOPILOT) -> None:
-        """Ask one vehicle's autopilot for these rates, hertz by message name, from now on, in place of earlier ones.
+        """Ask one vehicle's autopilot for these rates, hertz by message name, from now on, instead of earlier ones.
 
         Raises
         ------
@@ -128,11 +128,11 @@ class RateRequests:
         self._vehicles[system] = _Vehicle(component, requests)
 
     def ask_everybody(self, rates: Mapping[str, float], component: int = AUTOPILOT) -> None:
-        """Ask every vehicle whose autopilot is heard, as :meth:`ask` does."""
+        """Ask every vehicle whose autopilot is received, as :meth:`ask` does."""
         self._everybody = rates, component
 
     def count(self, columns: Columns, steady_ns: int) -> None:
-        """Count messages that have arrived by a steady time; only those of the vehicles asked matter."""
+        """Count messages that have arrived by a steady time; only those of the vehicles asked are counted."""
         if self._everybody is not None and columns.system not in self._vehicles:
             rates, component = self._everybody
             if columns.component == component and autopilot_heartbeats(columns).any():
@@ -158,12 +158,12 @@ class RateRequests:
 
     def _for_us(self, fields: Mapping[str, Any]) -> bool:
         addressed = (fields.get("target_system"), fields.get("target_component"))
-        # Version 1 has no room for the address.
+        # Version 1 has no field for the address.
         to_us = all(address in (0, own) for address, own in zip(addressed, self._ids, strict=True))
         return to_us and fields.get("command") == self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL
 
     def requests(self, steady_ns: int, now_ns: int) -> list[bytes]:
-        """Return the packets to send at this steady and this Unix time; to be called several times a second."""
+        """Return the packets to send at this steady and this Unix time; call it several times a second."""
         packets = []
         if self._heartbeat_ns is None or steady_ns - self._heartbeat_ns >= SECOND_NS:
             self._heartbeat_ns = steady_ns
@@ -189,7 +189,7 @@ class RateRequests:
 
 def _next_request(vehicle: _Vehicle, now_ns: int) -> _Request | None:
     """Measure a vehicle's rates; return the request that is due."""
-    # Only when it was just heard: that nothing comes any more is no low rate but silence.
+    # Only if the vehicle was just received: silence is not a low rate.
     if not vehicle.arrived:
         return None
     vehicle.arrived = False

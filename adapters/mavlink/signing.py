@@ -1,12 +1,12 @@
-"""MAVLink 2 signing: the shared key, and which packets are let in.
+"""MAVLink 2 signing: the shared key, and which packets are admitted.
 
-After the MAVLink guide (https://mavlink.io/en/guide/message_signing.html), with two differences. The hash is verified
-before anything of the packet is believed: a forged packet cannot move a stream's time stamp and so lock its owner out.
-And what comes twice or out of order within a second or two is refused like any replay, but not called one, since
-networks do that without malice.
+It follows the MAVLink guide (https://mavlink.io/en/guide/message_signing.html), with two differences. The hash is
+verified before any content of the packet is used: a forged packet cannot advance a stream's time stamp and so lock its
+owner out. And a packet that comes twice or out of order within a second or two is refused like any replay, but not
+called one, since networks do that without malice.
 
-A vehicle without a clock stamps its packets with the time that it last knew; until a ground station with the same key
-has told it better, its first packets are too old and refused as replayed, as the guide has it.
+A vehicle without a clock stamps its packets with the time that it last knew. Until a ground station with the same key
+has sent it a better time, its first packets are too old and refused as replayed, as in the guide.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from adapters.output_file import write_file
 from adapters.source import LINK
 
 SIGNING = "signing"
-"""Name of the messages of source ``link`` that tell of refused packets."""
+"""Name of the messages of source ``link`` that report refused packets."""
 
 _KEY_BYTES = 32
 """MAVLink 2 message signing: a key of 256 bits."""
@@ -44,21 +44,21 @@ _EPOCH_NS = 1_420_070_400_000_000_000
 _STAMP_NS = 10_000
 """MAVLink 2 message signing counts in units of 10 microseconds."""
 _MINUTE = 6_000_000
-"""In units of the time stamp. MAVLink refuses a new stream whose time is more than a minute behind."""
+"""A minute in units of the time stamp. MAVLink refuses a new stream whose time is further behind."""
 _LARGEST_KEY_FILE = 4096
-"""Bytes: a key is 32, as text 64 digits; nothing larger is read."""
-# Only holders of the key get a stream; of more than these the longest silent one is forgotten.
+"""Largest file of a key, bytes: a key has 32, as text 64 digits."""
+# Only holders of the key get a stream; of more than these the one with the longest silence is forgotten.
 _STREAMS = 1024
 _LATE_NS = 1_000_000_000
 _REPORT_NS = 1_000_000_000
-# RADIO_STATUS and RADIO: radios add them on the way and have no key.
+# RADIO_STATUS and RADIO: radios insert them on the way and have no key.
 _FROM_RADIOS = frozenset((109, 166))
 _FINDINGS = ("forged", "replayed", "unsigned")
 
 
 @dataclass(frozen=True, slots=True)
 class SigningKey:
-    """The secret, 32 bytes, that both ends of a link share; it does not show when printed.
+    """The secret, 32 bytes, that both ends of a link share; it is hidden when printed.
 
     Raises
     ------
@@ -80,8 +80,8 @@ class SigningKey:
 def read_key(path: str | os.PathLike[str]) -> SigningKey:
     """Return the key of a file.
 
-    It holds 64 hexadecimal digits, or a passphrase on one line, of which the key is the SHA-256 hash as in Mission
-    Planner, QGroundControl and MAVProxy, or 32 bytes that are no such text.
+    The file holds 64 hexadecimal digits, or a passphrase on one line, whose SHA-256 hash is the key as in Mission
+    Planner, QGroundControl and MAVProxy, or 32 bytes that are not such a text.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def unix_stamp(now_ns: int) -> int:
 
 
 class SignatureVerdict(enum.Enum):
-    """What a packet's signature says."""
+    """The verdict on a packet's signature."""
 
     VALID = enum.auto()
     UNSIGNED = enum.auto()
@@ -139,7 +139,7 @@ class _Stream:
     def take(self, stamp: int, now_ns: int) -> SignatureVerdict:
         age_ns = now_ns - self.since_ns
         if not 0 <= age_ns < _LATE_NS:
-            # Kept by time of arrival: the stamps of a vehicle without a clock only count its packets.
+            # Sorted by time of arrival: the stamps of a vehicle without a clock only count its packets.
             self.before = self.recent if 0 <= age_ns < 2 * _LATE_NS else self.newest
             self.recent = self.newest
             self.since_ns = now_ns
@@ -152,8 +152,8 @@ class _Stream:
 class SignatureVerifier:
     """Verifies the packets of all links that share a key; its memory is bounded.
 
-    A stream is a (link id, system, component) of the signatures, whichever link brings it: what one link has brought
-    is a replay on every other.
+    A stream is a (link id, system, component) of the signatures on any link: a packet that came on one link is a replay
+    on every other.
     """
 
     def __init__(self, key: SigningKey) -> None:
@@ -162,10 +162,10 @@ class SignatureVerifier:
         self._newest = 0
 
     def check(self, packet: bytes, now_ns: int) -> SignatureVerdict:
-        """Return the verdict on an intact packet that came at a Unix time.
+        """Return the verdict on an intact packet that arrived at a Unix time.
 
-        A stream's time stamps have to increase; its first may be at most a minute behind the present time or the
-        newest valid stamp of all streams.
+        A stream's time stamps have to increase; its first may be at most a minute behind the present time or the newest
+        valid stamp of all streams.
         """
         if not packet_signed(packet):
             return SignatureVerdict.UNSIGNED
@@ -188,13 +188,13 @@ class SignatureVerifier:
         return stream.take(stamp, now_ns)
 
     def stamps(self) -> dict[str, int]:
-        """Return the newest time stamp of each stream, the longest silent one first."""
+        """Return the newest time stamp of each stream, the one with the longest silence first."""
         return {"/".join(map(str, name)): stream.newest for name, stream in self._streams.items()}
 
     def restore(self, stamps: object, now_ns: int) -> None:
-        """Go on from an earlier run's :meth:`stamps`, at Unix time ``now_ns``.
+        """Continue from an earlier run's :meth:`stamps`, at Unix time ``now_ns``.
 
-        ValueError is raised where they are none.
+        Raise ValueError if they are invalid.
         """
         if not isinstance(stamps, dict):
             raise ValueError("no table of time stamps")
@@ -212,8 +212,8 @@ class SignatureVerifier:
 class SigningStatistics:
     """Packets of one link refused so far.
 
-    A ``forged`` one has another key's signature, a ``replayed`` one is a valid packet of earlier; a ``late`` one is
-    valid, but came twice or behind its successor within a second or two. ``unsigned`` ones count where signatures are
+    A ``forged`` packet has another key's signature, a ``replayed`` one is a valid packet from earlier; a ``late`` one
+    is valid, but came twice or after its successor within a second or two. ``unsigned`` packets count if signatures are
     required.
     """
 
@@ -224,18 +224,18 @@ class SigningStatistics:
 
 
 class SigningGuard:
-    """Lets in the packets that may be trusted, and tells of the others, system by system; all links share one.
+    """Admits the packets that may be trusted, and reports the others, by system; all links share one guard.
 
-    Where signatures are required, the reports that telemetry radios add themselves (RADIO_STATUS, RADIO) still need
-    none. With a ``state`` file the newest time stamps come from it, and go to it with :meth:`save`, so that a restart
-    opens no door to what was recorded before it. Each link may call it from a thread of its own.
+    If signatures are required, the reports that telemetry radios insert themselves (RADIO_STATUS, RADIO) still need
+    none. With a ``state`` file the newest time stamps are read from it, and written to it by :meth:`save`, so that
+    packets recorded before a restart are refused after it. Each link may call it from its own thread.
     """
 
     def __init__(self, key: SigningKey, require_signed: bool = True, state: Path | None = None) -> None:
         self._verifier = SignatureVerifier(key)
         self._require_signed = require_signed
         self._lock = threading.Lock()
-        # By claimed system id, which is one byte: this cannot grow past 256 entries.
+        # By claimed system id, which is one byte: at most 256 entries.
         self._refused: dict[int, dict[str, int]] = {}
         self._reported_ns: dict[int, int] = {}
         self._unreported: set[int] = set()
@@ -249,10 +249,10 @@ class SigningGuard:
                 logging.getLogger(__name__).error(text, state, error)
 
     def save(self) -> None:
-        """Write the newest time stamps to the state file where they have changed; what cannot be written is logged.
+        """Write the newest time stamps to the state file if they have changed; a failure is logged.
 
-        Call it once a second, in a thread that may wait for a disk: what came after the last call can be replayed
-        after a crash.
+        Call it once a second, in a thread that may wait for a disk: packets that came after the last call can be
+        replayed after a crash.
         """
         if self._state is None:
             return
@@ -269,7 +269,7 @@ class SigningGuard:
             self._saved = stamps
 
     def refusal(self, packet: bytes, now_ns: int) -> SignatureVerdict | None:
-        """Return why an intact packet is not let in, None where it is; count it where not."""
+        """Return why an intact packet is refused, and count it; None if it is admitted."""
         with self._lock:
             verdict = self._verifier.check(packet, now_ns)
             if verdict is SignatureVerdict.VALID:
@@ -287,7 +287,7 @@ class SigningGuard:
             return verdict
 
     def findings(self, now_ns: int) -> list[Message]:
-        """Return what is new about each system, at most once a second.
+        """Return new refusals of each system, at most once a second.
 
         They are of source ``link`` and name ``signing``, from the system that the refused packets claimed to come from;
         ``forged``, ``replayed`` and ``unsigned`` count them since the start, over all links.

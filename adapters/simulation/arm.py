@@ -37,11 +37,12 @@ FAULT_KINDS: tuple[ArmFaultKind, ...] = ("step", "ramp", "sine")
 TORQUES: tuple[Torque, ...] = ("zero", "tracking")
 
 DURATION_S = 50.0
-"""The paper's: its errors are averaged over 50 s."""
+"""Duration of a run, seconds: the paper's, whose errors are averaged over 50 s."""
 SINE_HZ = 0.5
-"""Of a sine that users ask for, if they name no other: a turn in 2 s. The paper's own turn at .5 and 5 rad/s."""
+"""Default frequency of a sine that users request, Hz: a turn in 2 s. The paper's own turn at .5 and 5 rad/s."""
 MAX_STEP_S = 5e-4
-"""Of the Runge-Kutta method of fourth order: each sample is then exact to 1e-9, which a test holds."""
+"""Longest step of the Runge-Kutta method of fourth order, seconds: each sample is then exact to 1e-9, which a test
+holds."""
 
 # Joint stiffness over motor and over link inertia, motor damping, torque constant, gravity over link inertia.
 _STIFF_MOTOR, _STIFF_LINK, _DAMPING, _TORQUE, _GRAVITY = 48.6, 19.5, 1.25, 21.6, 3.33
@@ -66,7 +67,7 @@ class ArmFault:
 
 @dataclass(frozen=True, slots=True)
 class ArmScenario:
-    """Faults of a run, several on one channel add up, and whether w_1 = 0.2 sin 10 t and w_2 = 0.1 sin 10 t act."""
+    """Faults of a run, which add up on one channel, and whether w_1 = 0.2 sin 10 t and w_2 = 0.1 sin 10 t act."""
 
     faults: tuple[ArmFault, ...] = field(default=())
     disturbed: bool = True
@@ -127,7 +128,7 @@ def make_fault(
 def parse_fault(text: str) -> ArmFault:
     """Return the fault that ``CHANNEL:KIND:START:STOP:SIZE[:HZ]`` describes (``f_a:step:10:20:2``).
 
-    UsageError is raised where it is none.
+    UsageError is raised if the text is invalid.
     """
     form = f"fault '{text}': write CHANNEL:KIND:START:STOP:SIZE[:HZ], like f_a:step:10:20:2"
     parts = text.split(":")
@@ -179,7 +180,7 @@ def simulate_arm(
 
 
 def fault_size(scenario: ArmScenario, channel: ArmFaultChannel, time_s: float) -> float:
-    """Return the true size of a channel's faults at a time; at a jump the one after it."""
+    """Return the true size of a channel's faults at a time; at a jump the value after it."""
     return sum(fault.at(time_s) for fault in scenario.faults if fault.channel == channel)
 
 
@@ -221,7 +222,7 @@ def tracking_reference(time_s: float) -> tuple[ArmState, float]:
 def _integrate(
     state: ArmState, start_s: float, end_s: float, *, u: float, f_a: Sequence[ArmSignal], disturbance: float
 ) -> ArmState:
-    """Return the state at ``end_s``; ``f_a`` holds the signals that act all the while."""
+    """Return the state at ``end_s``; the signals in ``f_a`` act during the whole step."""
     steps = max(1, math.ceil((end_s - start_s) / MAX_STEP_S - 1e-9))
     h = (end_s - start_s) / steps
     half, (x_1, x_2, x_3, x_4) = 0.5 * h, state
@@ -247,7 +248,10 @@ def _integrate(
 
 
 def _accelerations(x_1: float, x_2: float, x_3: float, torque: float, w_1: float) -> tuple[float, float]:
-    """Return the slopes of x_2 and x_4 in A x + B (u + f_a) + G sin(x_3) + E_1 w_1; of the others they are states."""
+    """Return the derivatives of x_2 and x_4 in A x + B (u + f_a) + G sin(x_3) + E_1 w_1.
+
+    Those of x_1 and x_3 are states.
+    """
     twist = x_1 - x_3
     motor = -_STIFF_MOTOR * twist - _DAMPING * x_2 + _TORQUE * torque
     return motor, _STIFF_LINK * twist - _GRAVITY * math.sin(x_3) + w_1

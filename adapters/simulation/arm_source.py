@@ -26,7 +26,7 @@ from adapters.simulation.arm import ArmRun
 from adapters.simulation.pacing import paced
 
 SYSTEM = 1
-"""Of the simulated vehicle: what autopilots have when they are new."""
+"""Ids of the simulated vehicle: the defaults of autopilots."""
 ARRAY_NAME = "arm"
 
 _HEARTBEAT_NS = SECOND_NS
@@ -34,7 +34,7 @@ _HEARTBEAT_NS = SECOND_NS
 _ACTIVE = 4
 """MAV_STATE_ACTIVE."""
 _MAVLINK_VERSION = 3
-"""Of the heartbeat's last field: 3 for both versions of the protocol."""
+"""Value of the heartbeat's last field: 3 for both versions of the protocol."""
 _FLOATS = 58
 """Length of DEBUG_FLOAT_ARRAY's data."""
 # Publishing waits for a subscriber at most this long, so that none misses the start.
@@ -66,7 +66,7 @@ def arm_packets(run: ArmRun) -> Iterator[tuple[int, bytes]]:
 
 
 def arm_messages(run: ArmRun, start_unix_ns: int) -> Iterator[Message]:
-    """Return the run as a MAVLink link without delay would receive it, simulated time 0 being ``start_unix_ns``."""
+    """Return the run as a MAVLink link without delay would receive it; simulated time 0 is ``start_unix_ns``."""
     scanner, packets = PacketScanner(dialect()), PacketList(dialect())
     for time_ns, packet in arm_packets(run):
         scanner.scan(packet, packets, start_unix_ns + time_ns)
@@ -88,7 +88,7 @@ def arm_payloads(run: ArmRun) -> Iterator[tuple[int, bytes]]:
 
 
 def send_arm(run: ArmRun, url: str, speed: float = 1.0) -> int:
-    """Send the run as MAVLink to ``udpout:HOST:PORT``, at so many times real time; return the number of packets."""
+    """Send the run as MAVLink to ``udpout:HOST:PORT`` at ``speed`` times real time; return the number of packets."""
     family, address = udp_address(url)
     count = 0
     with socket.socket(family, socket.SOCK_DGRAM) as out:
@@ -101,9 +101,9 @@ def send_arm(run: ArmRun, url: str, speed: float = 1.0) -> int:
 def publish_arm(
     run: ArmRun, key: str, connect: Sequence[str], speed: float = 1.0, config_file: str | Path | None = None
 ) -> int:
-    """Publish the run as JSON under a Zenoh key, at so many times real time; return the number of samples.
+    """Publish the run as JSON under a Zenoh key at ``speed`` times real time; return the number of samples.
 
-    Starts when somebody subscribes, at the latest after 5 s. ``connect`` and ``config_file`` are those of
+    Publishing starts when somebody subscribes, at the latest after 5 s. ``connect`` and ``config_file`` are those of
     :func:`adapters.zenoh.zenoh_session.open_session`.
     """
     import zenoh

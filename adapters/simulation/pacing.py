@@ -1,4 +1,4 @@
-"""Hands items out when they are due, as a live source would."""
+"""Yields items when they are due, as a live source would."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ T = TypeVar("T")
 
 
 def paced(items: Iterable[tuple[int, T]], speed: float, catch_up_s: float = inf) -> Iterator[T]:
-    """Return the items in order, each not before its time (nanoseconds), at so many times real time; the first at once.
+    """Yield the items in order, none before its time (nanoseconds), at ``speed`` times real time; the first at once.
 
-    The schedule is absolute: an item that came late does not delay those behind it, unless it came later than
-    ``catch_up_s``: a machine that stood still is no burst of telemetry.
+    The schedule is absolute: a late item does not delay the following ones, unless it is later than ``catch_up_s``:
+    after a pause of the machine there is no burst of telemetry.
 
     Raises
     ------

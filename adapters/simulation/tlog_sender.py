@@ -25,12 +25,11 @@ def send_tlog(
     stop_s: float | None = None,
     renumber: bool = False,
 ) -> int:
-    """Send a log's packets, byte for byte, one per datagram, at so many times real time; return their number.
+    """Send a log's packets, unchanged, one per datagram, at ``speed`` times real time; return their number.
 
-    They go to ``udp:HOST:PORT``.
-
-    ``start_s`` and ``stop_s`` name the part of the log to send, seconds after its first packet. With ``renumber``
-    packets count on from each other: what was left out of the log on purpose is not lost on the link.
+    They are sent to ``udp:HOST:PORT``. ``start_s`` and ``stop_s`` delimit the part of the log to send, seconds after
+    its first packet. With ``renumber`` the sequence numbers are consecutive: packets that were left out of the log on
+    purpose do not count as lost on the link.
 
     Raises
     ------
@@ -59,7 +58,7 @@ def _part(path: str | os.PathLike[str], start_s: float, stop_s: float | None) ->
 
 
 def _renumbered(packets: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
-    """Yield packets under consecutive sequence numbers of their senders; signed and unknown ones as they are."""
+    """Yield packets with consecutive sequence numbers of their senders; signed and unknown ones are unchanged."""
     counts: dict[tuple[int, int], int] = {}
     for received_ns, packet in packets:
         kind = mavlink_types().get(message_number(packet))

@@ -1,9 +1,9 @@
 """Live telemetry over Zenoh: JSON objects and CDR under a key expression -> batches.
 
-A callback takes each sample off the network thread at once, notes its time of arrival and queues it; a full
-queue drops its oldest sample. So neither a slow reader nor a flood of telemetry can stall the session, and
-both show in the counts. A connection that is lost comes back by itself
-(:func:`adapters.zenoh.zenoh_session.open_session`), and the subscription with it.
+A callback receives each sample from the network thread at once, notes its time of arrival and queues it; a full queue
+drops its oldest sample. So neither a slow reader nor a flood of telemetry can stall the session, and both show in the
+counts. A lost connection is restored by itself (:func:`adapters.zenoh.zenoh_session.open_session`), and the
+subscription with it.
 """
 
 from __future__ import annotations
@@ -25,35 +25,36 @@ if TYPE_CHECKING:
     import zenoh
 
 MAX_PAYLOAD_BYTES = 1 << 20
-"""Telemetry has some kilobytes at most. Chosen: whatever is a thousand times as large came to the wrong key."""
+"""Largest payload, bytes. Telemetry has some kilobytes at most. Chosen: a payload a thousand times as large was sent to
+the wrong key."""
 
 _QUEUE = 4096
-"""Messages that wait to be read: 8 s of a vehicle at 530 a second."""
+"""Most messages that wait to be read: 8 s of a vehicle at 530 a second."""
 _QUEUE_BYTES = 1 << 24
-"""Memory that they may take, whatever they hold: 16 of the largest payloads."""
+"""Most memory of the waiting messages, bytes: 16 of the largest payloads."""
 _MAX_LOGGED = 1000
-"""Keys that are told about once each. Names come from the network: the list of them has to end."""
+"""Most keys that are reported, once each. Names come from the network, so their list has to be bounded."""
 
 
 @dataclass(slots=True)
 class ZenohLinkStatistics:
-    """What came over a link so far."""
+    """Counts of a link so far."""
 
     messages: int = 0  # messages received
     dropped: int = 0  # samples dropped because the queue was full
     oversized: int = 0  # samples of more than :data:`MAX_PAYLOAD_BYTES`
-    malformed: int = 0  # samples that are no JSON object, or not CDR of their type
-    undefined: int = 0  # samples in CDR whose type is not known, or has no definition
-    connected: int = 0  # other Zenoh nodes (routers, peers) that the session is connected to now
-    reconnections: int = 0  # how often the session found a node after it had lost all
+    malformed: int = 0  # samples that are not a JSON object, or not CDR of their type
+    undefined: int = 0  # samples in CDR whose type is unknown, or has no definition
+    connected: int = 0  # other Zenoh nodes (routers, peers) to which the session is connected now
+    reconnections: int = 0  # how often the session found a node after losing all
 
 
 class ZenohLink:
-    """A subscription to telemetry.
+    """A subscription to telemetry. The caller closes the session.
 
-    The session stays the caller's to close. The ``decoder`` knows the types of CDR payloads; None: those that samples
-    name themselves and that are shipped. ``batch_s`` is the time from one batch to the next while telemetry comes,
-    seconds; 0 hands on at once whatever is there.
+    The ``decoder`` knows the types of CDR payloads; None: only types that samples name themselves, with built-in
+    definitions. ``batch_s`` is the time from one batch to the next while telemetry arrives, seconds; with 0 everything
+    is returned at once.
 
     Raises
     ------
@@ -136,7 +137,7 @@ class ZenohLink:
         return pack(messages)
 
     def _say_once(self, key: str, error: ValueError) -> None:
-        """Log why a payload was passed over: the first of each key, as its sender will hardly mend itself."""
+        """Log why a payload was discarded: only the first of each key, since its sender will send more of them."""
         if key not in self._logged and len(self._logged) < _MAX_LOGGED:
             self._logged.add(key)
             logging.getLogger(__name__).warning("payload of %s passed over, and more like it: %s", key, error)

@@ -1,4 +1,4 @@
-"""Payloads of Zenoh telemetry -> named fields: JSON objects, and CDR where the message's type is known."""
+"""Payloads of Zenoh telemetry -> named fields: JSON objects, and CDR if the message's type is known."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from adapters.encoding.message_definition import canonical_type, find_definition
 from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 
 _CDR = "application/cdr"
-# The type is looked at afterwards: two open ends in one chunk would be tried out against each other.
+# The type is checked afterwards: the regular expression would backtrack with two open ends in one chunk.
 _RMW_KEY = re.compile(r"\d+/(.+)/([^/]+)/RIHS\d+_[^/]+")
 _MAX_KEYS = 4096
 
@@ -21,13 +21,12 @@ _MAX_KEYS = 4096
 class PayloadDecoder:
     """Decodes samples by key and encoding.
 
-    The type of a CDR payload is, first of all that apply: what ``types`` says about its key; the schema of its
-    encoding (``application/cdr;sensor_msgs/msg/Imu``); the type in a key of rmw_zenoh
-    (``<domain>/<topic>/<type>/<type hash>``). Everything else is JSON. A key of rmw_zenoh gives messages the name of
-    the topic, so that neither domain nor type hash, which change with the installation, stand in profiles; other
-    keys are names as they are.
+    The type of a CDR payload is the first of these that is given: the type for its key in ``types``; the schema of its
+    encoding (``application/cdr;sensor_msgs/msg/Imu``); the type in a key of rmw_zenoh (``<domain>/<topic>/<type>/<type
+    hash>``). Everything else is JSON. From a key of rmw_zenoh, messages get the name of the topic, so that profiles
+    contain neither domain nor type hash, which change with the installation; other keys are names as they are.
 
-    Of ``types`` by key expression the first that matches counts; ``definitions`` are folders of .msg files, see
+    Of ``types`` by key expression the first that matches is used; ``definitions`` are folders of .msg files, see
     :func:`adapters.encoding.message_definition.find_definition`.
 
     Raises
@@ -61,9 +60,9 @@ class PayloadDecoder:
         Raises
         ------
         UndefinedTypeError
-            The payload is CDR, and its type or the type's definition is not known.
+            The payload is CDR, and its type or the type's definition is unknown.
         PayloadError
-            The payload is not what it should be.
+            The payload does not have the expected form.
         """
         name, kind = self._look_up(key, encoding)
         if kind is None:
@@ -74,7 +73,7 @@ class PayloadDecoder:
         return name, decoder.decode(payload)
 
     def _look_up(self, key: str, encoding: str) -> tuple[str, str | None]:
-        """Return a key's message name and type: None for JSON, empty for CDR of an unknown type."""
+        """Return the message name and type of a key: None for JSON, empty for CDR of an unknown type."""
         known = self._keys.get((key, encoding))
         if known is None:
             if len(self._keys) >= _MAX_KEYS:
@@ -111,6 +110,6 @@ def _fields(payload: bytes) -> dict[str, Any]:
     try:
         return json_object(payload)
     except ValueError as error:
-        # the first byte of CDR, and none that JSON begins with
+        # the first byte of CDR, with which no JSON begins
         cdr = "; if it is CDR, name its type in [zenoh_types]" if payload[:1] == b"\0" else ""
         raise PayloadError(f"{error}{cdr}") from error

@@ -1,7 +1,6 @@
-"""Opens Zenoh sessions: no scouting, no listening but where told, quick to reconnect, secured by a file.
+"""Opens Zenoh sessions: no scouting, no listening unless requested, quick to reconnect, secured by a file.
 
-Zenoh's own defaults listen on every address and look for peers by multicast; a monitor beside a vehicle does
-neither.
+Zenoh's own defaults listen on every address and search for peers by multicast; a monitor beside a vehicle does neither.
 """
 
 from __future__ import annotations
@@ -19,13 +18,12 @@ if TYPE_CHECKING:
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_MESSAGE_BYTES = 1 << 24
-"""Bytes that a peer can make us hold for one message: sixteen times the largest telemetry, as much as history answers
-with.
-"""
+"""Memory for one message of a peer, bytes: sixteen times the largest telemetry, and the size of an answer of the
+history."""
 
 Mode = Literal["peer", "router", "client"]
 
-# Settings with a default of Zenoh's own other than null, and the name that shows that a file sets them.
+# Settings whose default in Zenoh is not null, and the name that shows that a file sets them.
 _DEFAULTED = {
     "transport/shared_memory/enabled": "shared_memory",
     "transport/link/tx/lease": "lease",
@@ -43,28 +41,28 @@ def open_session(
 ) -> zenoh.Session:
     """Open a session.
 
-    What cannot be reached is no error: the session opens within about half a second and goes on trying in the
+    An unreachable endpoint is not an error: the session opens within about half a second and keeps trying in the
     background, every 0.2 to 0.5 s, also after a connection was lost. Only a client (``mode: "client"`` in the file)
-    needs its router at the start. Samples are time-stamped, which the caches of advanced publishers need; shared
-    memory is off. The caller closes the session: a process with an open one may never end.
+    needs its router at the start. Samples are time-stamped, which the caches of advanced publishers need; shared memory
+    is off. The caller closes the session: a process with an open one may never end.
 
     Parameters
     ----------
     connect : Sequence[str]
         Endpoints to connect to (``tcp/127.0.0.1:7447``).
     listen : Sequence[str]
-        Endpoints to listen on; none listens nowhere.
+        Endpoints to listen on; with none the session does not listen.
     config_file : str | Path | None
-        Zenoh's own configuration in JSON5: TLS, passwords, access control. What it says counts, its
-        endpoints in place of ``connect`` and ``listen``; the rest stays as without it.
+        Zenoh's own configuration in JSON5: TLS, passwords, access control. Its settings have priority, its endpoints
+        replace ``connect`` and ``listen``; the rest stays as without it.
     mode : {"peer", "router", "client"}
-        Zenoh's mode where the file does not say. A router passes nothing between its peers: what shall be seen
-        through one joins it as a router, too, or as a client.
+        Zenoh's mode if the file does not set one. A router passes nothing between its peers: a session that needs data
+        through a router joins it as a router, too, or as a client.
 
     Raises
     ------
     TelemetryError
-        The file is missing or not valid, an endpoint is not understood, or one to listen on is taken.
+        The file is missing or not valid, an endpoint is not understood, or one to listen on is in use.
     """
     import zenoh
 
@@ -112,9 +110,9 @@ def endpoints(
     config_file: str | Path | None = None,
     mode: Mode = "peer",
 ) -> tuple[str, ...]:
-    """Return what :func:`open_session` connects to, or listens on: the file's endpoints, else those given.
+    """Return what :func:`open_session` connects to, or listens on: the file's endpoints, otherwise the given ones.
 
-    ``mode`` is Zenoh's mode where the file does not say; the file may name endpoints by mode.
+    ``mode`` is Zenoh's mode if the file does not set one; the file may name endpoints by mode.
 
     Raises
     ------
@@ -132,7 +130,7 @@ def endpoints(
 
 
 def _read_config(config_file: str | Path | None) -> tuple[zenoh.Config, str]:
-    """Return Zenoh's own reading of a configuration file, if there is one, and its text without comments."""
+    """Return a configuration file as read by Zenoh, if there is one, and its text without comments."""
     import zenoh
 
     if config_file is None:
@@ -151,8 +149,8 @@ def _read_config(config_file: str | Path | None) -> tuple[zenoh.Config, str]:
 def _says(config: zenoh.Config, text: str, key: str) -> bool:
     """Return whether a configuration file sets a key.
 
-    Zenoh fills in its defaults while it reads, so what is like them counts as not set: it stays null, or, for
-    listening, becomes as safe as without a file. For the few others the name in the text decides.
+    Zenoh fills in its defaults while it reads, so a value equal to the default counts as not set: it stays null, or,
+    for listening, becomes as safe as without a file. For the few other keys the name in the text decides.
     """
     import zenoh
 
@@ -161,7 +159,7 @@ def _says(config: zenoh.Config, text: str, key: str) -> bool:
 
 
 def _reason(text: str) -> str:
-    """Return what is of use in Zenoh's nested error text."""
+    """Return the useful part of Zenoh's nested error text."""
     if "Address already in use" in text:
         return "the port is taken; is another monitor running?"
     if (syntax := re.search(r"--> (\d+):(\d+).*= ([^\n]*)", text, re.DOTALL)) is not None:
