@@ -105,7 +105,7 @@ def draw_fault(panel: Axes, look: Look, chart: Chart) -> None:
 
 
 def draw_lanes(panel: Axes, look: Look, chart: Chart, covered: Sequence[Mapping[str, Any]] = ()) -> None:
-    """Draw the series of a chart below each other, with the range of each lane, and shade the alarms.
+    """Draw the series of a chart below each other, with the range of each lane, and mark the alarms.
 
     The alarms among ``covered`` are shaded and named.
     """

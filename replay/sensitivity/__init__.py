@@ -1,1 +1,1 @@
-"""What size of fault is seen how fast."""
+"""The size of faults that a profile detects, and the delay."""

@@ -27,34 +27,36 @@ from replay.sensitivity.healthy import Healthy, Span, free_spans, onsets, play_h
 from replay.sensitivity.trial import Task, run_task
 
 WITHIN_S = (2.0, 1.0, 0.25)
-"""Delays that the smallest detected fault is asked for, seconds: what a pilot, a failsafe and a controller can use."""
+"""Delays within which the smallest detected fault is determined, seconds: a pilot, a failsafe and a controller can use
+them."""
 _TICKS = 10
-"""Ticks of a slow observer in the longest delay: as long as evidence has to last on it at most."""
+"""Ticks of a slow observer in the longest delay: the longest time for which its evidence has to last."""
 ONSETS = 3
-"""Times of onset for each size. Chosen: they show a size that is missed now and then, and keep a fit to seconds."""
+"""Times of onset for each size. Chosen: they reveal a size that is missed now and then, and a fit takes only
+seconds."""
 
 _LEAD_S = 2.0
-"""Time before an onset behind the observer's own wait: one second for the first samples, one in which alarms count."""
+"""Time before an onset in addition to the observer's own wait: one second for the first samples, one with alarms."""
 _TAIL_S = 1.0
-"""Time watched behind the slowest delay, for alarms of other channels that come later, seconds."""
+"""Time watched after the longest delay, for alarms of other channels that come later, seconds."""
 _LOSSES = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07, 0.10, 0.15, 0.20, 0.30, 0.50)
 """Losses to try, as fractions of the command: round numbers, each about 1.4 times the one before."""
 _DIGITS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-"""Digits of the steps to try, about as far apart."""
+"""Digits of the steps to try, with about the same ratios."""
 _STEPS = 12
 """Steps to try: the largest is more than twenty times the threshold."""
 _ACTIVE_S = 0.5
-"""Time behind an onset in which a command has to be in use for its loss to show, seconds."""
+"""Time after an onset during which a command has to be in use, so that its loss has an effect, seconds."""
 _ACTIVE_SHARE = 0.5
-"""In use: its mean effect is at least this share of the root mean square over the recording."""
+"""Smallest mean effect of a command in use, as a share of its root mean square over the recording."""
 
 
 def measure_capability(profile: Profile, logs: Sequence[BatchSource]) -> tuple[Capability, ...]:
     """Measure what an observer detects, for each fault channel whose alarm has a positive threshold.
 
-    The profile has one observer, with its model. It is asked for delays of :data:`WITHIN_S`, longer in proportion for
-    an observer of few ticks a second. :data:`ONSETS` are spread over the recordings (where the command matters, for a
-    loss).
+    The profile has one observer, with its model. The delays are :data:`WITHIN_S`, proportionally longer for an observer
+    with few ticks a second. :data:`ONSETS` are spread over the recordings (for a loss, over times with the command in
+    use).
     """
     [observer] = profile.observers
     wanted = Pipeline(profile).interests
@@ -85,14 +87,14 @@ def measure_capability(profile: Profile, logs: Sequence[BatchSource]) -> tuple[C
 def step_sizes(threshold: float) -> tuple[float, ...]:
     """Return round sizes (1, 1.5, 2, 3, 5, 7, 10, ...) from about half a positive alarm threshold upwards."""
     decade = 10.0 ** np.floor(np.log10(threshold / 2.0))
-    # Rounded so that sizes read as written: 0.3, not 0.30000000000000004.
+    # Rounded, so that sizes are printed as written: 0.3, not 0.30000000000000004.
     rungs = [float(f"{digit * decade * 10.0**power:.2g}") for power in range(4) for digit in _DIGITS]
     start = max(i for i, size in enumerate(rungs) if size <= threshold / 2.0 * (1.0 + 1e-9))
     return tuple(rungs[start : start + _STEPS])
 
 
 def _typical_command(fault: FaultChannel, flights: Sequence[Flight]) -> float:
-    """Return the root mean square of the command that a fault scales, zero where there is none or no sample."""
+    """Return the root mean square of the command that a fault scales, zero if there is none or no sample."""
     if fault.input is None or not flights:
         return 0.0
     command = np.concatenate([flight.samples.u[flight.armed, fault.input] for flight in flights])
@@ -102,7 +104,7 @@ def _typical_command(fault: FaultChannel, flights: Sequence[Flight]) -> float:
 def _tasks(
     profile: Profile, fault: FaultChannel, loss: bool, recordings: Sequence[Healthy], after_s: float
 ) -> list[tuple[int, Task]]:
-    """Return onsets spread over the recordings, where the input matters for a loss, and windows around them."""
+    """Return onsets spread over the recordings (of a loss: with the command in use), and windows around them."""
     [observer] = profile.observers
     wait_s = max(profile.gate.settle_s, observer.settle_s or AffineObserver(observer.gains).settling_s())
     before_ns, after_ns = round((wait_s + _LEAD_S) * 1e9), round(after_s * 1e9)
@@ -133,7 +135,7 @@ def _tasks(
 
 
 def _active_spans(observer: ObserverProfile, fault: FaultChannel, flight: Flight) -> list[Span]:
-    """Return the stretches in which the command that a fault scales is in use, vehicle nanoseconds."""
+    """Return the spans in which the command that a fault scales is in use, vehicle nanoseconds."""
     effect = np.abs(effect_of_command(observer.gains[0].input_curves, flight.samples.u)[:, fault.input])
     ahead = max(1, round(_ACTIVE_S * observer.rate_hz))
     mean = np.convolve(effect, np.full(ahead, 1.0 / ahead))[ahead - 1 :]
@@ -148,7 +150,7 @@ def _search(
 ) -> list[Detection]:
     """Try sizes, ascending, up to the first that is detected within the shortest delay.
 
-    A size that one onset misses costs one trial, so there is no need to begin near the answer.
+    A size that is missed at one onset costs one trial, so the search may begin far below the result.
     """
     detections: list[Detection] = []
     for size in sizes if tasks else ():
@@ -160,13 +162,13 @@ def _search(
 
 
 def _detect(tasks: Sequence[tuple[int, Task]], fault: FaultChannel, loss: bool, size: float) -> Detection:
-    """Try one size at every onset, steps of either sign, up to the first that misses it or raises another alarm."""
+    """Try one size at every onset, steps of either sign, until an onset misses it or raises another alarm."""
     delays = []
     for number, (onset_ns, task) in enumerate(tasks):
         signed = -size if number % 2 and not loss else size
         attack = Attack(fault.name, "loss" if loss else "bias", onset_ns, 1 << 62, size=signed)
         [outcome] = run_task(replace(task, attacks=(attack,)))
-        if outcome.delay_s is None:  # the window raises an alarm by itself: it says nothing about a fault
+        if outcome.delay_s is None:  # the window raises an alarm without the fault, so it tells nothing about the fault
             continue
         if outcome.others or outcome.delay_s == inf:
             return Detection(size, None, None, only=not outcome.others)

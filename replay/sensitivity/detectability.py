@@ -1,7 +1,7 @@
-"""What size of which fault is seen how fast: faults injected into a healthy recording, each run through the pipeline.
+"""The size of each fault that is detected, and the delay: each fault is injected into a healthy recording.
 
-Each trial plays a window around one onset: healthy flight before it, so that the observers settle, then the fault. An
-alarm that a healthy window raises by itself voids the trial: it says nothing about the fault.
+Each trial plays a window around one onset through the pipeline: healthy flight, so that the observers settle, then the
+fault. If a healthy window raises an alarm without the fault, the trial is void: it tells nothing about the fault.
 """
 
 from __future__ import annotations
@@ -27,17 +27,18 @@ from replay.sensitivity.healthy import Healthy, free_spans, onsets, play_healthy
 from replay.sensitivity.trial import Outcome, Task, run_task
 
 _STEPS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
-"""Sizes to try, in units of the size that raises the alarm: from what has to be missed to what is plain."""
+"""Sizes to try, in units of the size that raises the alarm: from one that has to be missed to an obvious one."""
 _RATES = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Rates of ramps, in such units per second: they reach the size within a quarter of a second to four seconds."""
+"""Rates of ramps, in such units per second: they reach that size within a quarter of a second to four seconds."""
 _SPOOF_RATES = (0.5, 1.0, 2.0, 5.0)
 """Final speeds of spoofs, m/s: from the drift of a receiver to the pace of a vehicle."""
 _SCALES = (0.5, 0.8, 0.9, 1.1, 1.2, 1.5)
-"""Factors on a measurement, within half of it up and down."""
+"""Factors on a measurement, between half and one and a half of it."""
 _DELAYS_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Delays of measurements, from those of slow links to those of an operator's reaction, seconds."""
 _SMALLEST_COMMAND = 0.05
-"""Least mean command, of full command, that a threshold is divided by: below it a loss would be no size to try."""
+"""Smallest mean command, of full command, by which a threshold is divided: with a smaller one the loss would be too
+large to try."""
 _SIZELESS = ("freeze", "drop", "replay")
 _SCENE_MESSAGES = frozenset({"ATTITUDE", "GPS_RAW_INT"})
 
@@ -48,12 +49,12 @@ TrialTrack = Callable[..., Iterable[Any]]
 class Sweep:
     """What to try."""
 
-    channels: tuple[str, ...] = ()  # alarm channels; empty takes all of the profile
-    kinds: tuple[str, ...] | None = None  # kinds of fault; None takes loss for actuators, bias and ramp for sensors
-    # sizes (of ramp and spoof: rates); None takes multiples of each channel's threshold
+    channels: tuple[str, ...] = ()  # alarm channels; empty: all of the profile
+    kinds: tuple[str, ...] | None = None  # kinds of fault; None: loss for actuators, bias and ramp for sensors
+    # sizes (of ramp and spoof: rates); None: multiples of each channel's threshold
     sizes: tuple[float, ...] | None = None
-    onsets: int = 5  # times of onset for each of them, spread over the watched flight
-    # window around an onset
+    onsets: int = 5  # times of onset for each size, spread over the watched flight
+    # lengths of the window around an onset
     before_s: float = 10.0
     after_s: float = 10.0
     jobs: int = 1  # processes
@@ -61,24 +62,24 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What was found for one size of one kind of fault on one channel."""
+    """Result for one size of one kind of fault on one channel."""
 
     # the fault
     channel: str
     kind: str
     size: float | None  # its size (of ramp and spoof: rate); None for kinds without one
     unit: str  # unit of the size
-    # trials that count, and those that do not because the window raised an alarm before the onset
+    # trials that count, and void ones, whose window raised an alarm before the onset
     trials: int
     void: int
     missed: int  # trials in which the channel's alarm was not raised within the window
-    # time from onset to alarm that half, and 90 %, of the trials stay within; None where they do not
+    # time from onset to alarm that half, and 90 %, of the trials do not exceed; None if they do
     delay_median_s: float | None
     delay_90_s: float | None
     isolated: float | None  # share of the detected trials in which no other alarm was raised
-    others: tuple[str, ...]  # channels that were raised too, or instead
+    others: tuple[str, ...]  # channels whose alarms were raised too, or instead
     # root mean square error of the estimate over the second half of the window, in ``unit`` (of a ramp or spoof: in the
-    # unit of what grows); None where the kind has no size to compare with
+    # unit of the growing quantity); None if the kind has no size to compare with
     estimate_error: float | None
 
 
@@ -89,15 +90,15 @@ class Detectability:
     # names of profile and recording
     profile: str
     log: str
-    window_s: tuple[float, float]  # before and after an onset
-    healthy_alarms: int  # alarms of the recording as it is; windows that hold one were not used
+    window_s: tuple[float, float]  # time before and after an onset
+    healthy_alarms: int  # alarms of the recording without a fault; windows with one were not used
     rows: tuple[Row, ...]
-    skipped: tuple[str, ...]  # what was not tried, and why
+    skipped: tuple[str, ...]  # attacks that were not tried, and why
 
 
 @dataclass(frozen=True, slots=True)
 class _Subject:
-    """A channel to attack: its observer, its alarm, and the attacks, whose times are still open."""
+    """A channel to attack: its observer, its alarm, and the attacks without their times."""
 
     observer: ObserverProfile
     rule: AlarmRule
@@ -107,7 +108,7 @@ class _Subject:
 def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lambda items, *_: items) -> Detectability:
     """Sweep size and kind of faults over a profile's alarm channels.
 
-    ``track`` shows progress, given the items, what they are part of, and what they are.
+    ``track`` shows progress; it is called with the items, the name of their whole, and their own name.
 
     Raises
     ------
@@ -171,7 +172,7 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
 
 
 def _chosen(profile: Profile, channels: Sequence[str]) -> list[tuple[ObserverProfile, AlarmRule]]:
-    """Return the alarms to test: of an actuator that two observers watch, the first's."""
+    """Return the alarms to test: if two observers watch an actuator, that of the first one."""
     actuators = newly_watched(
         [f.name for f in observer.faults if f.kind == "actuator"] for observer in profile.observers
     )
@@ -199,7 +200,7 @@ def _attacks(
     names: frozenset[str],
     skipped: list[str],
 ) -> tuple[Attack, ...]:
-    """Return the attacks to try on one channel, their times still open; say which kinds do not go with it."""
+    """Return the attacks to try on one channel, without their times; report the kinds that do not go with it."""
     threshold = rule.threshold or 1.0
     fault = next(fault for fault in observer.faults if fault.name == rule.channel)
     if rule.kind == "actuator" and fault.input is not None:
@@ -241,7 +242,7 @@ def _at(attack: Attack, start_ns: int, end_ns: int, sweep: Sweep) -> Attack:
 
 
 def _sizes(kind: str, threshold: float) -> tuple[float, ...]:
-    """Return the sizes that are tried by default: around what raises the alarm, to two digits."""
+    """Return the default sizes to try: around the size that raises the alarm, rounded to two digits."""
     fixed = {"scale": _SCALES, "delay": _DELAYS_S, "spoof": _SPOOF_RATES}
     if kind in fixed:
         return fixed[kind]
@@ -306,7 +307,7 @@ def _row(attack: Attack, unit: str, trials: Sequence[Outcome]) -> Row:
 
 
 def _within(delays: Sequence[float], share: float) -> float | None:
-    """Return the delay that a share of the trials stays within, None where they do not."""
+    """Return the delay that a share of the trials does not exceed, None if they do."""
     if not delays:
         return None
     delay = delays[ceil(share * len(delays)) - 1]

@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-# Panels of a line, and heights of delays and misses, inches: readable at the width of a page.
+# panels per line, and heights of delays and misses, inches: readable at the width of a page
 COLUMNS = 4
 DELAY_IN = 1.3
 MISSED_IN = 0.45
 _SECOND_LINE = 32
-"""Characters that fit below a panel."""
+"""Letters that fit below a panel."""
 
 
 def plot_detectability(path: str | os.PathLike[str], result: Detectability) -> None:
     """Draw a sweep.
 
-    Per kind of fault a row of panels, one for each channel: the delay that half of the trials stay within as a line,
-    the delay of 90 % dashed, over the size; below it the share that was missed, as bars. All panels of a row share
-    their axes. Where fewer than half, or 90 %, were seen, the line has no point.
+    Each kind of fault has a row of panels, one for each channel. A panel shows the delay over the size: as a line the
+    delay that half of the trials do not exceed, dashed that of 90 %; below it the share of missed trials, as bars. All
+    panels of a row share their axes. The line has no point if fewer than half, or 90 %, were detected.
     """
     lines = list(_lines([_in_display_units(row) for row in result.rows]))
     columns = max((len(line) for line in lines), default=1)

@@ -1,4 +1,4 @@
-"""A healthy recording as the monitor sees it, and windows of it around times of onset."""
+"""A healthy recording as the monitor processes it, and its windows around times of onset."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Span = tuple[int, int]
 
 
 class TrialWindow(NamedTuple):
-    """The messages of a stretch: those before a time of onset, and those from it on."""
+    """The messages of a window: the ones before a time of onset, and the ones from it on."""
 
     lead: Batch
     tail: Sequence[Message]
 
     def messages(self) -> list[Message]:
-        """Return all messages of the stretch."""
+        """Return all messages of the window."""
         return [*messages(self.lead), *self.tail]
 
     def newest(self) -> list[Message]:
@@ -40,7 +40,7 @@ class TrialWindow(NamedTuple):
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of all messages of the stretch."""
+        """Names of all messages of the window."""
         return self.lead.names.union(message.name for message in self.tail)
 
 
@@ -52,12 +52,12 @@ class Healthy:
     # for each batch the newest time on the vehicle's clock after each message, nanoseconds
     newest_ns: Sequence[NDArray[np.int64]]
     system: int  # the vehicle's MAVLink system
-    flights: Mapping[str, Flight]  # by observer: its samples
-    states: Mapping[str, NDArray[np.float64]]  # by observer: its state estimates at them (N, n)
+    flights: Mapping[str, Flight]  # samples by observer
+    states: Mapping[str, NDArray[np.float64]]  # state estimates at these samples (N, n), by observer
     alarms_ns: Sequence[int]  # times at which alarms were raised, vehicle nanoseconds
 
     def spans_ns(self, observer: str) -> list[Span]:
-        """Return the stretches in which an observer's samples are evidence, vehicle nanoseconds."""
+        """Return the spans in which an observer's samples are evidence, vehicle nanoseconds."""
         flight = self.flights[observer]
         times_ns = flight.samples.vehicle_time_ns
         stretches = flight.stretches(at_restart=True)
@@ -69,11 +69,11 @@ class Healthy:
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of its messages."""
+        """Names of the recording's messages."""
         return frozenset().union(*(batch.names for batch in self.batches))
 
     def window(self, start_ns: int, onset_ns: int, stop_ns: int) -> TrialWindow:
-        """Return the messages of a stretch, led by the newest ones before it that tell the phase of flight."""
+        """Return the messages of a window, preceded by the newest earlier messages about the phase of flight."""
         phase: dict[tuple[str, int], Message] = {}
         lead: list[Batch] = []
         tail: list[Message] = []
@@ -94,7 +94,7 @@ def play_healthy(profile: Profile, recorded: Iterable[Batch]) -> Healthy:
     Raises
     ------
     OtherVehicleError
-        The recording says it is of another vehicle than the profile.
+        The recording reports another vehicle than the profile's.
     """
     pipeline = Pipeline(profile)
     batches: list[Batch] = []
@@ -141,10 +141,10 @@ def free_spans(
     after_ns: int,
     wanted: Sequence[Span] | None = None,
 ) -> list[Span]:
-    """Return where onsets may lie: with watched flight and no alarm around them, vehicle nanoseconds.
+    """Return the spans of possible onsets: with watched flight and no alarm around them, vehicle nanoseconds.
 
-    ``spans`` are stretches of watched flight, ``wanted`` those that onsets have to lie in (None: anywhere); a window
-    has ``before_ns`` ahead of its onset.
+    ``spans`` are those of watched flight, ``wanted`` those in which onsets have to be (None: anywhere). A window begins
+    ``before_ns`` before its onset and ends ``after_ns`` after it.
     """
     free = [(a + before_ns, b - after_ns) for a, b in spans if b - a >= before_ns + after_ns]
     for alarm_ns in alarms_ns:
@@ -158,10 +158,10 @@ def free_spans(
 
 
 def onsets(recordings: Sequence[Sequence[Span]], count: int) -> list[tuple[int, int]]:
-    """Return times of onset, evenly spread over where they may lie in each of several recordings.
+    """Return times of onset, evenly spread over the spans of possible onsets of several recordings.
 
-    Each is the index of its recording and whole milliseconds in nanoseconds; they are fewer than ``count`` where time
-    is short, none where no window fits.
+    Each is the index of its recording, and whole milliseconds in nanoseconds. There are fewer than ``count`` if time is
+    short, and none if no window fits.
     """
     free = [(index, a, b) for index, spans in enumerate(recordings) for a, b in spans]
     total = sum(b - a for _, a, b in free)

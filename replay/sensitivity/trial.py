@@ -1,7 +1,7 @@
-"""One injected fault in one window of a recording, run through the pipeline: was it seen, when, and as what.
+"""One injected fault in one window of a recording, run through the pipeline: whether it raises alarms, when, and which.
 
-Faults are put into messages, not into samples: what is measured is the whole monitor, with the sampling of messages,
-their resolution, the gate and the transforms, and kinds of faults that only messages have (lost, late, repeated).
+Faults are put into messages, not into samples. So the trial measures the whole monitor, with the sampling of messages,
+their resolution, the gate and the transforms, and it includes faults that only messages have (lost, late, repeated).
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from replay.attacks.plant_response import States
 from replay.sensitivity.healthy import TrialWindow
 
 _SMALLEST_COMMAND = 0.02
-"""Share of full command below which an estimated loss, a share of the command, is a quotient of two small numbers."""
+"""Smallest command, of full command, at which a loss is estimated: below it the share is a quotient of two small
+numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Attacks on one channel that begin at the same time, and the window of messages they are tried on."""
+    """Attacks on one channel that begin at the same time, and the window of messages in which they are tried."""
 
     profile: Profile
-    observer: str  # the observer whose alarm is meant
+    observer: str  # the observer whose alarm has to detect them
     system: int  # the vehicle's MAVLink system
-    window: TrialWindow  # the messages, those before the attacks apart
-    attacks: tuple[Attack, ...]  # the attacks, each tried by itself
-    # the observer's state estimates in healthy flight, which the response of a nonlinear plant depends on
+    window: TrialWindow  # the messages, split at the begin of the attacks
+    attacks: tuple[Attack, ...]  # the attacks, each tried alone
+    # the observer's state estimates in healthy flight, on which the response of a nonlinear plant depends
     states: States | None = None
 
 
@@ -41,11 +42,11 @@ class Task:
 class Outcome:
     """Result of one trial."""
 
-    # from onset to alarm, infinite where none was raised; None where the window raised one before the onset
+    # from onset to alarm, infinite if none was raised; None if the window raised one before the onset
     delay_s: float | None
-    others: frozenset[str]  # other channels that were raised
-    # root mean square error of the estimate over the second half of the attack; None where the kind has no size that an
-    # estimate could be compared with
+    others: frozenset[str]  # other channels whose alarms were raised
+    # root mean square error of the estimate over the second half of the attack; None if the kind has no size to compare
+    # an estimate with
     error: float | None
 
 
@@ -60,9 +61,9 @@ def _run(task: Task, attack: Attack) -> Outcome:
     index = [fault.name for fault in observer.faults].index(attack.channel)
     made = plan(attack, task.window.names, profile, task.states)
     injector = Injector(attack, made, task.system, profile_clocks(profile))
-    # A plant's answer moves its own outputs and nothing else: to other observers a gyro that attitude does not follow.
+    # A plant's response changes only its own outputs: other observers would find a gyro that contradicts the attitude.
     watching = replace(profile, observers=(observer,), excuses=()) if made.response is not None else profile
-    # Without models nobody works out how sure the estimates are, which no alarm asks; sudden changes are told by them.
+    # Without models no standard deviations are computed; only alarms of sudden changes need them.
     bare = tuple(observer if observer.changes else replace(observer, model=None) for observer in watching.observers)
     pipeline = Pipeline(replace(watching, observers=bare))
     late_ns = (attack.start_ns + attack.end_ns) // 2
@@ -70,7 +71,7 @@ def _run(task: Task, attack: Attack) -> Outcome:
     errors: list[float] = []
     if attack.kind in WITHOUT_PAST:
         outputs = pipeline.run(task.window.lead)
-        # of what was before, the newest is all that the attack needs
+        # of the earlier messages, the attack needs only the newest
         for message in task.window.newest():
             injector.feed(message)
         attacked = task.window.tail
@@ -94,9 +95,9 @@ def _run(task: Task, attack: Attack) -> Outcome:
 
 
 def _errors(attack: Attack, fault: FaultChannel, estimates: Estimates, index: int, from_ns: int) -> list[float]:
-    """Return estimate minus truth at the samples that count, of a loss as a share of the command.
+    """Return estimate minus truth at the samples that count, for a loss as a share of the command.
 
-    None where there is no truth, or too small a command.
+    The result is empty if there is no truth, or the command is too small.
     """
     samples = estimates.samples
     rows = np.flatnonzero(estimates.armed & (samples.vehicle_time_ns >= from_ns))

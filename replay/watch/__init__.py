@@ -1,1 +1,1 @@
-"""``fauio watch``: a folder that logs come into."""
+"""``fauio watch``: a folder into which logs are copied."""

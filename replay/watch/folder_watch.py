@@ -1,4 +1,4 @@
-"""A folder that logs come into: each becomes a report, and a page lists them all."""
+"""A folder into which logs are copied: each log becomes a report, and a page lists all reports."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from replay.runs.one_log import LogTask, replay_log
 from replay.watch.watch_command import INDEX_FILE
 
 STATE_FILE: Final = "flights.json"
-"""What was made of which log, beside the reports: a folder that is watched again goes on where it was."""
+"""File with the result of each log, beside the reports: a later watch of the folder continues from it."""
 
 
 @dataclass(frozen=True, slots=True)
 class WatchedLog:
-    """A row of the page: a log as it was when it was read, and what was found."""
+    """A row of the page: the state of a log when it was read, and the result."""
 
     log: str  # path in the folder
     size: int
     changed_ns: int
-    report: str  # file of the report; empty where there is none
+    report: str  # file of the report; empty if there is none
     begin: str = ""  # UTC
     duration_s: float = 0.0
-    watched_s: float = 0.0  # of a reviewed log: in flight
-    alarms: int = 0  # of a reviewed log: findings
+    watched_s: float = 0.0  # of a reviewed log: time in flight
+    alarms: int = 0  # of a reviewed log: number of findings
     severity: str = ""  # the worst
     verdict: str = ""
     error: str = ""
 
 
 class FolderWatch:
-    """Makes a report of each log in a folder once it stays as it is."""
+    """Writes a report of each log in a folder as soon as the log no longer changes."""
 
     def __init__(self, folder: Path, out: Path, profile: Path | None, *, settled_s: float) -> None:
         self._folder, self._out, self._profile_folder = folder, out, profile
@@ -51,7 +51,7 @@ class FolderWatch:
         self._flights = {log.log: log for log in read_watched(out / STATE_FILE)}
 
     def look(self) -> list[WatchedLog]:
-        """Read the logs that are new or have changed; return what was found in each, and write the pages."""
+        """Read the logs that are new or have changed; return the result of each, and write the pages."""
         try:
             logs = find_logs([self._folder])
         except TelemetryError:
@@ -62,7 +62,7 @@ class FolderWatch:
                 continue
             path, name = log.path, str(log.path.relative_to(self._folder))
             if path == self._folder:
-                # one session is all there is so far; of a single file other logs may come beside it
+                # the folder is one session so far; if that is a single file, other logs may be added beside it
                 files = session_files(path)
                 path = files[0] if len(files) == 1 else path
                 name = path.name
@@ -70,7 +70,7 @@ class FolderWatch:
             known = self._flights.get(name)
             if known is not None and (known.size, known.changed_ns) == (size, changed_ns):
                 continue
-            # One from the future was written before the clock was set back, or elsewhere.
+            # A log with a time in the future was written before the clock was set back, or elsewhere.
             if 0 <= time.time_ns() - changed_ns < self._settled_ns:
                 continue
             flight = self._read(path, name, size, changed_ns)
@@ -91,7 +91,7 @@ class FolderWatch:
         return WatchedLog(name, size, changed_ns, report if written else "", **found)
 
     def _replayed(self, path: Path, name: str, report: str) -> dict[str, Any]:
-        """Return what the profile's monitor found in a log."""
+        """Return the results of the profile's monitor for a log."""
         assert self._profile is not None  # noqa: S101 - without one logs are reviewed
         task = LogTask(log=name, path=path, report=self._out / report, folder=self._profile_folder)
         outcome = replay_log(self._profile, task)
@@ -107,7 +107,7 @@ class FolderWatch:
         }
 
     def _reviewed(self, path: Path, report: str) -> dict[str, Any]:
-        """Return what happened in a log as it states it."""
+        """Return the results of reviewing a log by its own statements."""
         review = review_log(path)
         write_file(self._out / report, review_page(review))
         weights = [finding.judgement.weight for finding in review.findings if finding.judgement.weight != "information"]
@@ -145,7 +145,7 @@ def index_page(title: str, flights: list[WatchedLog]) -> str:
 
 
 def read_watched(path: Path) -> list[WatchedLog]:
-    """Return what an earlier run made of logs; nothing where its file is missing or is no such file."""
+    """Return the results of an earlier run; empty if its file is missing or malformed."""
     try:
         return [WatchedLog(**entry) for entry in json.loads(path.read_text())]
     except (OSError, ValueError, TypeError):

@@ -1,4 +1,4 @@
-"""``fauio watch``: its options, and the loop that looks at the folder."""
+"""``fauio watch``: its options, and the loop that checks the folder."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from adapters.command_line import option, say, say_json
 
 INDEX_FILE: Final = "index.html"
 _EVERY_S: Final = 5.0
-"""How often the folder is looked at. Chosen: a report is read minutes after a landing; a look costs milliseconds."""
+"""Period of the checks of the folder, seconds. Chosen: a report is read minutes after a landing; a check costs
+milliseconds."""
 _SETTLED_S: Final = 5.0
-"""How long a log has to stay as it is before it is read. Chosen: a copy from a card or by radio writes every second."""
+"""Time for which a log has to be unchanged before it is read, seconds. Chosen: a copy from a card or by radio writes
+every second."""
 
 
 def add_watch(subparsers: Any) -> None:

@@ -1,11 +1,11 @@
-"""A straight line through what flights say, each in its own uncertainty, with intervals that hold for few flights.
+"""A straight line through the levels of flights, each with its own uncertainty, with intervals for few flights.
 
     y_i = a + b x_i + between_i + within_i,     within_i ~ N(0, s_i^2) known,     between_i ~ N(0, tau^2)
 
-tau^2 is what makes the weighted sum of squares what it should be, n - 2 (Paule and Mandel, J. Res. NBS 87, 1982), and
-zero where the flights scatter less. Intervals take Student's t with n - 2 degrees of freedom and the weighted variance
-of what is left (Knapp and Hartung, Statistics in Medicine 22, 2003): with few flights those of the normal distribution
-are far too short.
+tau^2 is chosen so that the weighted sum of squares has its expected value, n - 2 (Paule and Mandel, J. Res. NBS 87,
+1982); it is zero if the flights scatter less. Intervals use Student's t with n - 2 degrees of freedom and the weighted
+variance of the remainder (Knapp and Hartung, Statistics in Medicine 22, 2003): with few flights the intervals of the
+normal distribution are far too short.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 COVERED = 0.95
-"""Share of intervals that hold the truth."""
+"""Share of intervals that contain the truth."""
 LEAST_FLIGHTS = 4
-"""Two more than a line has coefficients: with one more the interval is thirteen standard errors to each side."""
+"""Fewest flights for a line: two more than its coefficients. With one more the interval is thirteen standard errors to
+each side."""
 _LEAST_SCATTER = 1e-6
-"""Least of it, relative to the weights: values on a line to the last digit keep their errors above zero."""
+"""Smallest scatter, relative to the weights: values exactly on a line keep errors above zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,35 +33,35 @@ class Line:
 
     origin: float
     coefficients: Floats  # a, b
-    covariance: Floats  # of them (2, 2)
+    covariance: Floats  # covariance of the coefficients (2, 2)
     between: float  # tau
     freedom: int
 
     @property
     def slope(self) -> float:
-        """How much y grows for each x."""
+        """Growth of y per unit of x."""
         return float(self.coefficients[1])
 
     @property
     def slope_error(self) -> float:
-        """One standard error of it."""
+        """Standard error of the slope."""
         return math.sqrt(float(self.covariance[1, 1]))
 
     def at(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return the line at some x, and its standard errors (n,)."""
+        """Return the line's values at x, and their standard errors (n,)."""
         X = _regressors(x - self.origin)
         return X @ self.coefficients, np.sqrt(np.einsum("ni,ij,nj->n", X, self.covariance, X))
 
     def quantile(self, share: float = COVERED) -> float:
-        """Return how many standard errors to each side hold this share."""
+        """Return the number of standard errors to each side that contains this share."""
         from scipy.stats import t
 
         return float(t.ppf(0.5 + 0.5 * share, self.freedom))
 
     def crossing(self, level: float) -> tuple[float, float, float] | None:
-        """Return from when, at best, and until when the line reaches a level: Fieller's interval of this crossing.
+        """Return the earliest, best and latest x at which the line reaches a level (Fieller's interval).
 
-        None where the slope is not certain, for then the interval has no end.
+        Return None if the slope is not certain, because the interval then has no end.
         """
         c2 = self.quantile() ** 2
         a, b = float(self.coefficients[0]) - level, self.slope
@@ -82,12 +83,13 @@ def fit_line(x: Floats, y: Floats, sd: Floats) -> Line:
     freedom = n - 2
 
     def excess(tau2: float) -> float:
-        """Return by how much the weighted sum of squares is larger than it should be."""
+        """Return the difference of the weighted sum of squares from its expected value."""
         return float(np.sum(_rest(X, y, sd**2 + tau2) ** 2 / (sd**2 + tau2))) - freedom
 
     tau2 = 0.0
     if excess(0.0) > 0.0:
-        # the sum of squares without weights bounds it: with more scatter than that, too little is left
+        # the unweighted sum of squares is an upper bound: with a larger tau^2 the weighted sum is below its expected
+        # value
         most = float(np.sum(_rest(X, y, np.ones(n)) ** 2))
         tau2 = float(brentq(excess, 0.0, most))
     weight = 1.0 / (sd**2 + tau2)

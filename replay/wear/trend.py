@@ -1,9 +1,9 @@
-"""Wear across flights: tables of what each flight said of each actuator, and lines through it.
+"""Wear across flights: tables with the levels of each actuator in each flight, and lines through them.
 
-A trend is claimed where its slope is towards wear with such a certainty that of all channels together, without any
-wear, one is claimed in 40 cases at most (Bonferroni). An actuator's loss shows in its neighbours' estimates, too: of
-those of one observer the most certain trend is named, others are said to be possibly part of it. A line is followed no
-further than as long again as it was seen: how wear goes on beyond, nobody knows.
+A trend is reported if its slope towards wear is so certain that, over all channels together and without any wear, at
+most one vehicle in 40 has a reported trend (Bonferroni). An actuator's loss shows in its neighbours' estimates, too: of
+one observer's trends the most certain one is named, and others are reported as possibly part of it. A line is
+extrapolated no further than the time over which it was observed: nobody knows how wear continues after that.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def read_table(path: Path) -> list[LoggedFlight]:
     Raises
     ------
     TelemetryError
-        It is no such table, has no columns of wear, or a cell is no number.
+        The file is no such table, has no columns of wear, or a cell is not a number.
     """
     rows = list(_rows(path))
     columns = {name: match for name in (rows[0] if rows else ()) if (match := _VALUE.fullmatch(name))}
@@ -62,7 +62,7 @@ def read_table(path: Path) -> list[LoggedFlight]:
 
 
 def _cell(row: Mapping[str, Any], name: str, where: str) -> float | None:
-    """Return the number in a row's cell; None where it is empty."""
+    """Return the number in a row's cell; None if it is empty."""
     cell = row.get(name)
     if cell is None or cell == "":
         return None
@@ -95,25 +95,26 @@ def _rows(path: Path) -> Iterable[Mapping[str, Any]]:
 
 
 _FALSE_CLAIMS = 0.5 * (1.0 - COVERED)
-"""Share of vehicles without wear of which any is claimed: the end of an interval that holds :data:`COVERED`."""
+"""Share of vehicles without wear for which any trend is reported: one end of an interval that contains
+:data:`COVERED`."""
 AHEAD = 1.0
-"""How far a line is followed beyond the last flight, in times of what was flown. Chosen: as long again."""
+"""How far a line is extrapolated beyond the last flight, in times of the flown hours. Chosen: as long again."""
 _LEAST_ERROR = 1e-3
-"""Least standard deviation of a flight's level, as a share of the level that raises an alarm: a thousandth decides
+"""Smallest standard deviation of a flight's level, relative to the level that raises an alarm: a thousandth decides
 nothing, and keeps weights finite."""
 
 _CLOCK_SET = 2000
-"""First year in which a clock that was set may say that a log began."""
+"""First year of a log's begin that shows that the vehicle's clock was set."""
 
 Judged = Literal["due", "worn", "part", "unclear", "few"]
 
 
 @dataclass(frozen=True, slots=True)
 class LoggedFlight:
-    """One flight of a vehicle: what it says of its channels."""
+    """One flight of a vehicle, with the levels of its channels."""
 
     log: str
-    start_utc: str  # empty where it is not known
+    start_utc: str  # empty if unknown
     duration_s: float
     watched_s: float
     levels: tuple[WearLevel, ...]
@@ -121,37 +122,37 @@ class LoggedFlight:
 
 @dataclass(frozen=True, slots=True)
 class TrendPoint:
-    """A flight's level."""
+    """The level of a channel in one flight."""
 
     log: str
-    hours: float  # of flight, up to its middle
+    hours: float  # hours of flight up to its middle
     value: float
     sd: float
 
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """What all flights say of one channel, in its unit and hours of flight."""
+    """The trend of one channel over all flights, in its unit and hours of flight."""
 
     of: WornChannel
-    limit: float  # the level at which the monitor raises an alarm, the median over the flights
+    limit: float  # the level at which the monitor raises an alarm, median over the flights
     points: tuple[TrendPoint, ...]
-    # due: at the limit already; worn: a certain trend towards it; part: one that may be another channel's
+    # due: at the limit already; worn: a certain trend towards it; part: a trend that may be another channel's
     state: Judged
-    line: Line | None = None  # None of too few flights
-    due_h: tuple[float, float, float] | None = None  # from the last flight: at the earliest, at best, at the latest
-    beyond: bool = False  # whether the earliest lies further ahead than the line is followed
-    part_of: str = ""  # the channel whose wear it may be
+    line: Line | None = None  # None if there are too few flights
+    due_h: tuple[float, float, float] | None = None  # hours from the last flight to the limit: earliest, best, latest
+    beyond: bool = False  # whether the earliest is further ahead than the line is extrapolated
+    part_of: str = ""  # the channel whose wear may cause this trend
 
     @property
     def certainty(self) -> float:
-        """The slope towards wear in its standard errors."""
+        """The slope towards wear, in its standard errors."""
         if self.line is None:
             return -math.inf
         return math.copysign(1.0, self.limit) * self.line.slope / max(self.line.slope_error, 1e-300)
 
     def to_json(self) -> dict[str, Any]:
-        """Return what ``--json`` prints."""
+        """Return the JSON object for ``--json``."""
         said: dict[str, Any] = {**self.of._asdict(), "limit": self.limit, "state": self.state}
         if self.line is not None:
             half = self.line.quantile() * self.line.slope_error
@@ -169,10 +170,10 @@ class Trend:
 
 @dataclass(frozen=True, slots=True)
 class Wear:
-    """What a vehicle's flights say together."""
+    """The wear of a vehicle over all its flights."""
 
     flights: tuple[LoggedFlight, ...]  # in their order
-    doubled: tuple[str, ...]  # logs of a time that another one covers
+    doubled: tuple[str, ...]  # logs of a time that another log covers
     trends: tuple[Trend, ...]
 
     @property
@@ -181,7 +182,7 @@ class Wear:
         return sum(flight.watched_s for flight in self.flights) / 3600.0
 
     def to_json(self) -> dict[str, Any]:
-        """Return what ``--json`` prints."""
+        """Return the JSON object for ``--json``."""
         return {
             "verdict": " ".join(wear_sentences(self)),
             "flights": len(self.flights),
@@ -192,7 +193,7 @@ class Wear:
 
 
 def find_wear(flights: Sequence[LoggedFlight]) -> Wear:
-    """Return the trends of all channels; flights are put in order where all say when they were."""
+    """Return the trends of all channels; flights are sorted by time if all of their times are known."""
     kept, doubled = _in_order(flights)
     series: dict[WornChannel, list[tuple[TrendPoint, float]]] = defaultdict(list)
     hours = 0.0
@@ -207,7 +208,7 @@ def find_wear(flights: Sequence[LoggedFlight]) -> Wear:
 
 
 def _in_order(flights: Sequence[LoggedFlight]) -> tuple[list[LoggedFlight], list[str]]:
-    """Return flights by their beginnings, and the logs that tell of a flight again."""
+    """Return flights sorted by their begins, and the logs of flights that another log covers."""
     starts = [_start_s(flight.start_utc) for flight in flights]
     if None in starts:
         return list(flights), []
@@ -224,7 +225,7 @@ def _in_order(flights: Sequence[LoggedFlight]) -> tuple[list[LoggedFlight], list
 
 
 def _start_s(start_utc: str) -> float | None:
-    """Return a Unix time; None of a vehicle that did not know the date and counted from its own start."""
+    """Return a Unix time; None if the vehicle did not know the date and counted from its own start."""
     try:
         start = datetime.fromisoformat(start_utc)
     except ValueError:
@@ -233,7 +234,7 @@ def _start_s(start_utc: str) -> float | None:
 
 
 def _trend(of: WornChannel, points: Sequence[tuple[TrendPoint, float]], hours: float, told: int) -> Trend:
-    """Return a channel's trend; ``told`` channels have enough flights to have one."""
+    """Return a channel's trend; ``told`` is the number of channels with enough flights for a trend."""
     shown = tuple(point for point, _ in points)
     limit = float(np.median([limit for _, limit in points]))
     bare = Trend(of, limit, shown, "few")
@@ -255,7 +256,7 @@ def _trend(of: WornChannel, points: Sequence[tuple[TrendPoint, float]], hours: f
 
 
 def _with_parts(trends: Iterable[Trend]) -> list[Trend]:
-    """Return the trends, the most certain ones first; of one observer's only the first is named."""
+    """Return the trends, the most certain ones first; only the first of each observer is named."""
     named: dict[str, str] = {}
     ordered = []
     for trend in sorted(trends, key=lambda trend: (trend.state not in ("due", "worn"), -trend.certainty)):
@@ -268,7 +269,7 @@ def _with_parts(trends: Iterable[Trend]) -> list[Trend]:
 
 
 def wear_sentences(wear: Wear) -> list[str]:
-    """Return what will need service when, a sentence for each channel; or that no trend can be told."""
+    """Return a sentence for each channel that will need service, with the time; or that no trend can be told."""
     flown = f"{len(wear.flights)} flights, {hours_text(wear.hours)}"
     said = [
         f"{trend.of.channel} {_service(trend, wear.hours)}." for trend in wear.trends if trend.state in ("due", "worn")
@@ -298,7 +299,7 @@ def _service(trend: Trend, hours: float) -> str:
 
 
 def trend_lines(wear: Wear) -> list[str]:
-    """Return a line for each channel: its slope, what it is now, what differs between flights, and how it is judged."""
+    """Return a line for each channel: its slope, the scatter between flights, and the judgement."""
     return [_trend_line(trend) for trend in wear.trends]
 
 

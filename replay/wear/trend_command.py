@@ -1,4 +1,4 @@
-"""``fauio trend``: its options, where its flights come from, and what it prints."""
+"""``fauio trend``: its options, the source of its flights, and its output."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _check_since(since: str | None) -> None:
 
 
 def _kept(folder: Path) -> Iterator[LoggedFlight]:
-    """Yield what the flights say of wear that a profile was fitted to, as far as it keeps them."""
+    """Yield the levels of wear in the flights that a profile was fitted to, if the profile keeps them."""
     from monitor.bus.alarm_text import utc
     from monitor.fitting.kept_flights import FOLDER, read_kept
     from monitor.fitting.progress import track
@@ -115,7 +115,7 @@ def _kept(folder: Path) -> Iterator[LoggedFlight]:
 
 
 def _replayed(folder: Path, arguments: Sequence[Path]) -> Iterator[LoggedFlight]:
-    """Yield what logs say of wear; one that cannot be replayed is told on stderr and left out."""
+    """Yield the levels of wear in logs; a log that cannot be replayed is reported on stderr and left out."""
     from monitor.bus.alarm_text import utc
     from monitor.fitting.progress import track
     from monitor.profile import read_profile

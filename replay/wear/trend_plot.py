@@ -1,4 +1,4 @@
-"""The picture of wear: each channel's levels over hours of flight, the line through them, and where service is due."""
+"""The picture of wear: each channel's levels over hours of flight, the line through them, and when service is due."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from replay.wear.trend import AHEAD, Trend, Wear, hours_text
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Panels of a line, and their height, inches: readable at the width of a page.
+# panels per line, and their height, inches: readable at the width of a page
 COLUMNS = 3
 PANEL_IN = 1.5
 TITLE_IN = 0.6
 _PARTS = 100
-"""Points of a line's curved band. Chosen: of three pixels each."""
+"""Points of a line's curved band. Chosen: one for every three pixels."""
 
 
 def plot_trends(path: str | os.PathLike[str], wear: Wear) -> None:
     """Draw a panel for each channel as a PNG.
 
-    Levels with two standard deviations within the flight, the line of channels that have enough flights with its 95 %
-    band, as far as it is followed, and the level that raises an alarm dashed. Channels that are named come first.
+    A panel shows the levels with two standard deviations within the flight; for channels with enough flights the line
+    with its 95 % band, as far as it is extrapolated; and dashed the level that raises an alarm. Channels that are named
+    come first.
     """
     columns = min(COLUMNS, max(1, len(wear.trends)))
     rows = max(1, -(-len(wear.trends) // columns))
@@ -57,7 +58,7 @@ def _draw(panel: Axes, trend: Trend, end: float) -> None:
         half = trend.line.quantile() * error
         panel.plot(along, line, color=colour)
         panel.fill_between(along, line - half, line + half, color=colour, alpha=0.15, linewidth=0)
-    # a band that grows beyond what is measured sets no scale
+    # a band that grows beyond the measured values does not affect the scale
     shown = np.concatenate([y - 2.0 * sd, y + 2.0 * sd, [0.0, trend.limit]])
     room = 0.1 * float(np.ptp(shown))
     panel.set_ylim(float(shown.min()) - room, float(shown.max()) + room)
