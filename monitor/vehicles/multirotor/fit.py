@@ -131,8 +131,8 @@ def _turned(speeds: EscSignals, observer: str) -> _Drive:
 _ENOUGH_HZ = 100.0
 """Fastest rate of the grid for logs, hertz: several samples in the lag of any motor (20 to 100 ms with its link)."""
 _CALM_HZ = 10.0
-"""Rate as which commands are treated in flights without manoeuvres, hertz, that of logs: what such commands show in
-hover alone is measured (docs/rates.md)."""
+"""Assumed rate of commands in flights without manoeuvres, hertz, that of logs: what commands at this rate show in hover
+alone is measured (docs/rates.md)."""
 _AIRBORNE_SHARE = 0.5
 """Share of the mean command, which is that of hovering, above which a vehicle is in the air. Chosen: motors idle far
 below half of it, descents stay above."""
@@ -148,7 +148,7 @@ are 0.5 to 1.4 %, so that a smaller loss may be the model's own error."""
 _CRITICAL_LOSS = 0.25
 """Critical loss. Chosen: without a quarter of a motor, a quadrotor has little control left in gusts."""
 _PAIRED = 4
-"""Largest number of motors with which losses of any two motors are told from all other losses. The effects of four
+"""Number of motors with which losses of any two motors are told from all other losses. The effects of four
 motors on three body rates have one linear combination that is zero, with coefficients of one sign: two losses are
 told from any other two, since losses have one sign, too. With six motors, the losses of two opposite motors turn the
 vehicle as little as those of any other opposite two."""

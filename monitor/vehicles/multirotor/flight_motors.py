@@ -26,13 +26,13 @@ from monitor.fitting.agreement import (
 from monitor.vehicles.multirotor.identify import MultirotorFit
 
 _TRIM, _THRUST, _CHANGE = 0.02, 0.03, 0.03
-"""Usual scatter between flights: of the moment that keeps the vehicle level, as a share of half the motors' moments;
-of the thrust that is commanded, and of its change from begin to end. The first is chosen: 2 mm of a battery's place on
-arms of 20 cm. The others are measured: healthy flights of three simulated vehicles scatter by .6 to 7 % (in 5 m/s of
+"""Usual scatter between flights: of the moment that keeps the vehicle level, as a share of half the motors' moments; of
+the commanded thrust; and of its change from begin to end. The first is chosen: 2 mm of a battery's position on arms
+of 20 cm. The others are measured: healthy flights of three simulated vehicles scatter by .6 to 7 % (in 5 m/s of
 wind), and by 1 to 4 %."""
 _PART_S = 25.0
-"""Length of parts, seconds. Chosen: a fault that lasts twice as long fills one; in shorter ones there are fewer than
-the six blocks that a covariance of three trims needs."""
+"""Length of parts, seconds. Chosen: a fault that lasts twice as long fills one part; shorter parts have fewer than the
+six blocks that a covariance of three trims needs."""
 _AXES = ("roll", "pitch", "yaw")
 
 
@@ -70,7 +70,7 @@ def motor_agreement(
 
 
 def _rest(fit: MultirotorFit, segments: Sequence[Segment], hover: FloatArray, moments: FloatArray) -> FloatArray:
-    """Return what the model leaves over about each axis, and the thrust beyond the usual (N, n + 1), as shares."""
+    """Return the model's residual about each axis, and the thrust beyond the usual one (N, n + 1), as shares."""
     n = len(fit.a)
     rows = []
     for segment in segments:
@@ -90,7 +90,7 @@ def _effects(name: str, rest: FloatArray, rate_hz: float) -> FlightEffects | str
 
 
 def _parts(names: Sequence[str], rests: Sequence[FloatArray], rate_hz: float) -> list[FlightEffects]:
-    """Return the trims of each flight's parts: thrust changes from part to part with what is flown."""
+    """Return the trims of each flight's parts: the thrust changes from part to part with the manoeuvres."""
     parts: list[FlightEffects] = []
     for name, rest in zip(names, rests, strict=True):
         for part in np.array_split(rest[:, :-1], max(1, int(len(rest) / rate_hz / _PART_S))):

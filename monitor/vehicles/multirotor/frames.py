@@ -16,24 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 _PX4_ROTORS = 12
-"""``CA_ROTOR0`` to ``CA_ROTOR11``: as many as PX4's control allocation has."""
+"""Names of PX4's rotor parameters, ``CA_ROTOR0`` to ``CA_ROTOR11``: as many as its control allocation has."""
 MOTOR_FUNCTIONS = {**{33 + i: i for i in range(8)}, **{82 + i: 8 + i for i in range(4)}}
 """ArduPilot's SERVOn_FUNCTION of motors 1 to 12, and their index from 0."""
 _PX4_FUNCTIONS = {101 + i: i for i in range(_PX4_ROTORS)}
 """PX4's PWM_MAIN_FUNCn (and those of other drivers) of motors 1 to 12, and their index from 0."""
 
 _OUTPUTS = 16
-"""Outputs in a SERVO_OUTPUT_RAW."""
+"""Number of outputs in a SERVO_OUTPUT_RAW."""
 
 _PX4_QUAD_X = 4
-"""Thousands of PX4's SYS_AUTOSTART of quads in x, which before its version 1.13 was all that logs said of the frame."""
+"""Thousands of PX4's SYS_AUTOSTART for quads in x, the only information on the frame in logs before version 1.13."""
 
 _TRI = 7
 """ArduPilot's FRAME_CLASS of tricopters."""
 _HELICOPTERS = (6, 11, 13)
-"""ArduPilot's FRAME_CLASS of those with one main rotor, two and four."""
+"""ArduPilot's FRAME_CLASS of helicopters with one main rotor, with two, and with four."""
 _TRI_MOTORS = (0, 1, 3)
-"""Theirs from 0: what the function of motor 7 drives is the servo of the tail."""
+"""Indices from 0 of a tricopter's motors: the function of motor 7 drives the tail servo."""
 
 CCW, CW = 1.0, -1.0
 """Yaw by the drag of a motor that turns counter-clockwise or clockwise, seen from above."""
@@ -73,7 +73,7 @@ _STANDARD: Mapping[tuple[int, int], tuple[str, tuple[tuple[float, float], ...]]]
     (5, 0): ("y6", ((60, CCW), (-60, CW), (-60, CCW), (180, CW), (60, CW), (180, CCW))),
     (5, 10): ("y6b", ((60, CW), (60, CCW), (180, CW), (180, CCW), (-60, CW), (-60, CCW))),
     (5, 11): ("y6f", ((180, CCW), (60, CCW), (-60, CCW), (180, CW), (60, CW), (-60, CW))),
-    # A servo at its tail turns it, which feels no drag of motors.
+    # A servo at its tail turns it about the vertical; the drag of the motors has no effect on it.
     (_TRI, 0): ("tri", ((60, 0.0), (-60, 0.0), (180, 0.0))),
     (12, 1): ("dodeca hexa x", tuple((30 + 60 * (i // 2), (CCW, CW, CW, CCW)[i % 4]) for i in range(12))),
     (12, 0): ("dodeca hexa +", tuple((60 * (i // 2), (CCW, CW, CW, CCW)[i % 4]) for i in range(12))),
@@ -81,33 +81,34 @@ _STANDARD: Mapping[tuple[int, int], tuple[str, tuple[tuple[float, float], ...]]]
     (14, 0): ("deca +", tuple((36 * i, (CCW, CW)[i % 2]) for i in range(10))),
 }
 _VECTORED_YAW = 2
-"""Q_TILT_TYPE of planes that tilt their motors to turn about the vertical: drag of motors is lost in that."""
+"""Q_TILT_TYPE of planes that tilt their motors to turn about the vertical: the effect of the motors' drag is lost in
+it."""
 _ONE_SHAPE = (5, _TRI)
-"""Classes whose types, but for those above, are all one frame."""
+"""Classes whose types, except for those above, are all the same frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """How the motors of a vehicle turn it."""
 
-    name: str  # for people: ``quad x``
+    name: str  # description for people: ``quad x``
     # relative effect of each motor about roll, pitch and yaw (3, s), the largest of an axis 1; zeros for an axis that
     # no motor turns
     effects: NDArray[np.float64]
 
 
 def lifting_outputs(parameters: Mapping[str, float], tricopter: bool = False) -> frozenset[int]:
-    """Return the numbers of the outputs that drive motors that lift, by their functions; none where nothing says so.
+    """Return the numbers of the outputs that drive lifting motors, by their functions; none if no parameter tells them.
 
-    Control surfaces, a forward motor and the servos of a tail or of tilting motors are none. ``tricopter`` says whether
-    the vehicle reports to be one, whose motors are outputs 1, 2 and 4 if no parameter tells.
+    Control surfaces, a forward motor and the servos of a tail or of tilting motors are left out. ``tricopter`` says
+    whether the vehicle reports to be a tricopter, whose motors are outputs 1, 2 and 4 if no parameter tells them.
     """
     of = {} if is_helicopter(parameters) else _motors(parameters)
     if len(of) < 3:
         return frozenset(index + 1 for index in _TRI_MOTORS) if tricopter else frozenset()
     if tricopter or _class(parameters)[0] == _TRI:
         return frozenset(number for number, index in of.items() if index in _TRI_MOTORS)
-    # Other rotors of PX4 push along the nose, as CA_ROTOR*_AX and AZ say; by default all push up.
+    # Other rotors of PX4 push along the nose, according to CA_ROTOR*_AX and AZ; by default all push up.
     up = {
         i for i in of.values() if abs(parameters.get(f"CA_ROTOR{i}_AZ", 1)) > abs(parameters.get(f"CA_ROTOR{i}_AX", 0))
     }
@@ -115,16 +116,16 @@ def lifting_outputs(parameters: Mapping[str, float], tricopter: bool = False) ->
 
 
 def is_helicopter(parameters: Mapping[str, float]) -> bool:
-    """Return whether parameters of ArduPilot say that blades of changing pitch lift the vehicle."""
+    """Return whether parameters of ArduPilot describe rotors with blades of variable pitch."""
     return _class(parameters)[0] in _HELICOPTERS
 
 
 def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame | None:
-    """Return the frame that an autopilot's parameters describe, None where they do not.
+    """Return the frame that an autopilot's parameters describe, None if they describe none.
 
-    Those are ``CA_ROTOR*`` of PX4, ``FRAME_CLASS`` and ``FRAME_TYPE`` of ArduPilot (``Q_FRAME_*`` of its planes; before
-    ArduCopter 3.5 ``FRAME``, the type alone: of its classes only quads have four motors), functions of outputs of both;
-    ``outputs`` are the numbers of the servo outputs that are motors (s,).
+    The parameters are ``CA_ROTOR*`` of PX4, ``FRAME_CLASS`` and ``FRAME_TYPE`` of ArduPilot (``Q_FRAME_*`` of its
+    planes; before ArduCopter 3.5 ``FRAME``, the type alone: of its classes only quads have four motors), and functions
+    of outputs of both. ``outputs`` are the numbers of the servo outputs that are motors (s,).
     """
     of = _motors(parameters)
     order = [of.get(number, number - 1) for number in outputs]
@@ -148,7 +149,7 @@ def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame |
 
 
 def standard_frames(motors: int) -> Iterator[Frame]:
-    """Yield the standard frames with a number of motors, no two alike, whose outputs are in the order of the motors."""
+    """Yield the different standard frames with a number of motors whose outputs are in the order of the motors."""
     for name, places in _STANDARD.values():
         if len(places) == len(set(places)) == motors:
             yield Frame(name, _scaled(_effects(places)))
@@ -161,7 +162,7 @@ def _class(parameters: Mapping[str, float]) -> tuple[int, int]:
 
 
 def _motors(parameters: Mapping[str, float]) -> dict[int, int]:
-    """Return the numbers of outputs that parameters call motors, and which motor each is, from 0."""
+    """Return the numbers of outputs that parameters assign to motors, and the index of each motor from 0."""
     tables = ("SERVO{}_FUNCTION", MOTOR_FUNCTIONS), ("PWM_MAIN_FUNC{}", _PX4_FUNCTIONS)
     said = ((n, int(parameters.get(key.format(n), -1)), of) for key, of in tables for n in range(1, _OUTPUTS + 1))
     return {n: of[function] for n, function, of in said if function in of}
@@ -176,11 +177,11 @@ def _of_px4(parameters: Mapping[str, float], order: Sequence[int]) -> Frame | No
 
 
 _PX4_DEFAULTS = (("PX", 0.0), ("PY", 0.0), ("KM", 0.05))
-"""Parameters of a rotor that turns the vehicle: metres forward and right, and drag over thrust; PX4's defaults."""
+"""Parameters of a rotor's moments: metres forward and right, and drag over thrust; PX4's defaults."""
 
 
 def _chosen(name: str, effects: NDArray[np.float64], order: Sequence[int]) -> Frame | None:
-    """Return the frame with its motors in the order of the outputs, which holds each once."""
+    """Return the frame with its motors in the order of the outputs, each of which the frame has once."""
     if len(set(order)) < len(order) or not all(0 <= index < effects.shape[1] for index in order):
         return None
     return Frame(name, _scaled(effects[:, list(order)]))

@@ -51,72 +51,78 @@ VERTICAL = "vertical_acceleration"
 GYROS = ("gyro_x", "gyro_y", "gyro_z")
 
 _LEAST_S = 20.0
-"""Evidence that is needed, seconds: twenty blocks of standard errors."""
+"""Least evidence, seconds: twenty blocks of standard errors."""
 _BLOCK_S = 1.0
-"""Length of blocks whose gradients are taken as independent, seconds. Measured on 24 simulated flights: 95 % intervals
-of blocks of .5, 1 and 2 s cover 93.1, 93.1 and 92.7 %, for innovations are white."""
+"""Length of the blocks whose gradients are taken as independent, seconds. Measured on 24 simulated flights: 95 %
+intervals with blocks of .5, 1 and 2 s cover 93.1, 93.1 and 92.7 %, since innovations are white."""
 _LARGEST_ERROR = 0.25
-"""Standard error of an axis' effects, as a share, up to which the flights know them: beyond, zero lies within four."""
+"""Largest relative standard error of an axis' effects for which the flights determine them: with a larger one, zero
+lies within four standard errors."""
 _LIKELY = 0.9
-"""Share of the largest damping from which on it is no vehicle's."""
+"""Share of the largest damping from which a damping is no vehicle's."""
 _ALIKE = 0.7
-"""Least cosine between the effects of an axis and those of the frame: within half a right angle."""
+"""Least cosine between an axis' effects and those of the frame: half a right angle."""
 USUAL = (450.0, 450.0, 22.0)
-"""rad/s^2 that a whole mean command, along the frame's effects, gives about roll, pitch and yaw: the geometric mean of
-two quads of 1 and 3 kg (PX4's SIH 175, 175, 13.5; ArduPilot's simulator 1200, 1200, 37)."""
+"""Angular acceleration, rad/s^2, that a whole mean command, along the frame's effects, gives about roll, pitch and yaw:
+the geometric mean of two quads of 1 and 3 kg (PX4's SIH 175, 175, 13.5; ArduPilot's simulator 1200, 1200, 37)."""
 _GUST_S = 10.0
-"""The same for the mean of the errors, which gusts and trim move as a whole."""
+"""Length of the blocks for the mean of the errors, seconds: gusts and trim move it as a whole."""
 _CONTROLS = 4
-"""Thrust, roll, pitch and yaw."""
+"""Number of an autopilot's controls: thrust, roll, pitch and yaw."""
 _WIDTH = 0.1
-"""How far a motor's effect may be from the frame's geometry, as a share. Chosen: motors and propellers of a make agree
-within a few per cent, arms are mounted within a per cent; a width that is too large costs sharpness where flights
-are silent, one that is too small would bend what they say."""
+"""Expected deviation of a motor's effect from the frame's geometry, as a share. Chosen: motors and propellers of a make
+agree within a few per cent, arms are mounted within a per cent; a larger width costs accuracy where flights do not
+determine the effects, a smaller one would bend what they determine."""
 _LONGEST_S = (0.1, 0.15, 0.025)
-"""Longest transport delay, motor lag and delay of filters, seconds. Chosen: rotors that are slower fly no multirotor,
-and gyro filters below 5 Hz neither."""
+"""Longest transport delay, motor lag and delay of filters, seconds. Chosen: no multirotor flies with slower rotors, or
+with gyro filters below 5 Hz."""
 _CURVES = (3, 3, 4)
-"""By axis the place of its curve among the shared coefficients. Drag of propellers, which turns about yaw, has another
-curve than their thrust: on three recorded vehicles the square's share is 1.0 in it, .6 to .8 in thrust."""
+"""Index of each axis' curve among the shared coefficients. The drag of propellers, which turns about yaw, has another
+curve than their thrust: on three recorded vehicles the square's share is 1.0 in drag, .6 to .8 in thrust."""
 _USUAL = ((0.0, 0.05), (0.0, 0.05), (0.0, 0.03), (0.5, 0.5), (0.5, 0.5))
-"""What is expected of the shared coefficients, and how wide: it parts what the flights show as a sum only."""
+"""Expected values of the shared coefficients, and their widths: they separate coefficients of which the flights show
+only the sum."""
 _SLOWEST, _FASTEST = 0.01, 10.0
-"""Least and largest damping of a body rate, 1/s. Measured on three simulated vehicles: 0.8 to 2.5; what is faster is a
+"""Least and largest damping of a body rate, 1/s. Measured on three simulated vehicles: 0.8 to 2.5; a faster decay is a
 lag."""
 _ORDER = 16
 """Order of the noise. Measured on simulated flights at 50, 100 and 250 Hz and recorded ones: Schwarz's criterion takes
-8 to 16; one that changes during the descent makes the cost leap."""
+8 to 16; an order that changes during the descent makes the cost jump."""
 _REGRESSED_S = 0.15
-"""Commands in the first regression: past lag and delay, so that the rates say the rest."""
+"""Length of the commands in the first regression, seconds: more than lag and delay, so that past rates explain the
+rest."""
 _STARTS = tuple((delay, lag) for lag in (0.01, 0.03, 0.08) for delay in (0.0, 0.02, 0.05))
-"""Delays and lags the descent may begin with, seconds: one of them lies within a factor of two of any vehicle's."""
+"""Delays and lags with which the descent may begin, seconds: one of them is within a factor of two of any vehicle's."""
 _START_DAMPINGS = (0.3, 1.0, 3.0)
-"""Dampings of a rate it may begin with, 1/s: one of them lies within a factor of two of any vehicle's."""
+"""Dampings of a rate with which the descent may begin, 1/s: one of them is within a factor of two of any vehicle's."""
 _UNKNOWN_S = 0.3
-"""Rows at the beginning of a stretch that do not count, seconds: what commands before it did has mostly died away, six
-lags of 50 ms. Always as many, or the cost would leap where a lag asks for one more."""
+"""Beginning of a stretch that does not count, seconds: the effect of commands before the stretch has mostly died away,
+after six lags of 50 ms. Its length is fixed: the cost would jump whenever a lag needs another row."""
 _STEPS = 60
-"""Measured on five recorded vehicles: 8 to 25 are needed."""
+"""Largest number of steps of the descent. Measured on five recorded vehicles: 8 to 25 are needed."""
 _DAMPING, _EASED = 1e-2, 3.0
-"""Of the descent: share of the curvature to begin with, and factor after a step that helped (its square after one that
-did not). Chosen: the first steps bend the taps by more than a slope tells; the last ones should be those of the slope.
-"""
+"""Damping of the descent: the share of the curvature to begin with, and its factor after a step that helped (the square
+after one that did not). Chosen: the first steps bend the taps by more than a slope shows; the last ones should be
+those of the slope."""
 _STUCK = 1e5
-"""Damping from which on rounding decides which steps help."""
+"""Damping from which rounding decides which steps help."""
 _ENOUGH = 0.03
-"""The descent ends where a step would move all coefficients together by less than .17 (the root) standard errors."""
+"""Squared step, in standard errors, below which the descent ends: all coefficients together would move by less than .17
+(the root)."""
 _SLOPE = 0.02
-"""Relative step of the differences of taps, at least that share of a tenth of a sample: five digits of smooth taps."""
+"""Relative step of the differences of taps, at least that share of a tenth of a sample: it gives five digits of smooth
+taps."""
 _PARALLEL = 0.1
-"""Radians up to which two motors are not told apart, between effects as shares of the largest about each axis. Chosen:
-flights tell them to .5 to 2 %; two on one arm that turn in opposite senses are more than 1 apart."""
+"""Largest angle between the effects of two motors that are not told apart, radians; the effects are shares of the
+largest about each axis. Chosen: flights determine effects to .5 to 2 %; two motors on one arm that turn in opposite
+senses are more than 1 apart."""
 _SHARED = len(_USUAL)
-"""Coefficients of all axes: delay, lag, filter, and q of thrust and of drag."""
+"""Number of coefficients of all axes: delay, lag, filter, and q of thrust and of drag."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MultirotorFit:
-    """What the flights say about the vehicle: n outputs (body rates, perhaps vertical specific force), s motors."""
+    """The model identified from the flights: n outputs (body rates, perhaps vertical specific force), s motors."""
 
     rate_hz: float  # samples per second of the model
     a: FloatArray  # rate coefficients a_o per step (3,), or those of the first axes
@@ -136,20 +142,20 @@ class MultirotorFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotorUncertainty:
-    """How well the flights, and geometry where it was asked, determine what the motors do, at their median commands."""
+    """How well the flights, and the geometry if it was used, determine the motors' effects at their median commands."""
 
     hover: FloatArray  # those commands (s,)
     times_s: FloatArray  # delay, lag and filter (3,)
     B_error: FloatArray  # standard errors of the effects on body rates, in units of B (3, s)
-    relative: FloatArray  # standard error of each motor's effect as a share of it (s,), axes weighted by what they show
-    of_axes: FloatArray  # standard error of each axis' effects together as a share of them (3,)
-    drive: FloatArray  # rms of what the errors of all coefficients put into the next body rates (3,)
+    relative: FloatArray  # relative standard error of each motor's effect (s,), axes weighted by their information
+    of_axes: FloatArray  # relative standard error of each axis' effects together (3,)
+    drive: FloatArray  # rms error of the next body rates from the errors of all coefficients (3,)
 
     def told(self, fit: MultirotorFit, effects: FloatArray | None) -> NDArray[np.bool_]:
-        """Return about which axes these flights tell what the motors do, given the frame's effects if known (3,).
+        """Return the axes about which these flights show the motors' effects, given the frame's effects if known (3,).
 
-        Where nothing but the controller moves the motors, commands follow from motion, and what fits best is the
-        controller's inverse: it pushes the wrong way, or a damping that no vehicle has takes it back.
+        If only the controller moves the motors, commands follow from motion, and the best fit is the controller's
+        inverse: its effects have the wrong sign, or a damping that no vehicle has takes them back.
         """
         damped = -np.log(fit.a) * fit.rate_hz < _LIKELY * _FASTEST
         right = np.ones(3, np.bool_)
@@ -213,7 +219,7 @@ class _Stretch:
     u: FloatArray  # commands (s, N)
     y: FloatArray  # outputs (p, N)
     own: NDArray[np.bool_]  # which rows are evidence (N,)
-    flight: int  # which flight it is of
+    flight: int  # index of the flight
 
     @classmethod
     def of(cls, segment: Segment, flight: int) -> _Stretch:
@@ -231,7 +237,7 @@ def control_directions(v: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class _Point(NamedTuple):
-    """What is known at a set of coefficients: cost, half its curvature, its fall, by block, and what was expected."""
+    """Results at a set of coefficients: cost, half its curvature, its negative gradient, by block, and the prior."""
 
     cost: float
     H: FloatArray
@@ -241,11 +247,10 @@ class _Point(NamedTuple):
 
 
 class _Descent:
-    """State of the least squares: coefficients of each axis and those they share.
+    """State of the least squares: coefficients of each axis and shared ones.
 
-    Those of an axis are B_o (s), c_o / (1 - a_o) of each flight, and a_o.
-
-    ``effects`` are by axis the geometry's, which are taken instead of what the flights say; zeros where they do (3, s).
+    Those of an axis are B_o (s), c_o / (1 - a_o) of each flight, and a_o. ``effects`` are the geometry's effects by
+    axis, which are used instead of those of the flights; zeros for axes that the flights determine (3, s).
     """
 
     def __init__(self, stretches: Sequence[_Stretch], rate_hz: float, effects: FloatArray) -> None:
@@ -254,7 +259,7 @@ class _Descent:
         self.usual = effects * np.array(USUAL)[:, None] / (self.s * rate_hz)
         self.silent = self.usual.any(axis=1)
         u = np.hstack([stretch.u[:, stretch.own] for stretch in stretches])
-        # Four controls drive any number of motors: beyond those directions there is rounding.
+        # Four controls drive any number of motors: other directions hold rounding only.
         self.moved = control_directions(u.T)[1] if self.s > _CONTROLS else None
         self.places = {flight: j for j, flight in enumerate(sorted({stretch.flight for stretch in stretches}))}
         self.width = self.s + len(self.places) + 1
@@ -270,10 +275,10 @@ class _Descent:
         self.noise: list[Autoregression] = []
 
     def start(self) -> None:
-        """Find coefficients to begin with: the best of some timings, weighed with a regression's noise."""
+        """Find the initial coefficients: the best of some timings, weighted with a regression's noise."""
         self.noise = [self._regressed(o) for o in range(3)]
         of_geometry = np.column_stack([self.usual, self.offset, self.a])
-        best, q = np.inf, float(self.shared[_CURVES[0]])  # the curves of all axes begin alike
+        best, q = np.inf, float(self.shared[_CURVES[0]])  # the curves of all axes have the same initial values
         for delay, lag in _STARTS:
             self.shared[:2] = delay, lag
             taps = lag_taps(self.shared[:3], self.rate_hz)
@@ -289,7 +294,7 @@ class _Descent:
         self._place(start)
 
     def _solved(self, delayed: Sequence[FloatArray], a: float) -> dict[int, tuple[float, FloatArray]]:
-        """Return the cost of each axis, and its coefficients of least squares with the regression's noise, at one a."""
+        """Return the cost of each axis, and its least-squares coefficients with the regression's noise, at one a."""
         told = np.flatnonzero(~self.silent).tolist()
         grams = {o: np.zeros((self.width, self.width)) for o in told}
         for stretch, columns in zip(self.stretches, delayed, strict=True):
@@ -326,7 +331,7 @@ class _Descent:
         self._place(base)
 
     def fitted(self) -> tuple[MultirotorFit, MotorUncertainty]:
-        """Return what was found, with its standard errors."""
+        """Return the identified model with its standard errors."""
         inverse, scores = self._inverse(self.point.H, self._free()), self.point.scores
         scores = scores[np.any(scores != 0.0, axis=1)]
         blocks = len(scores)
@@ -341,7 +346,7 @@ class _Descent:
         for o in range(3):
             own_q = float(self.shared[_CURVES[o]])
             own_slope = 1.0 - own_q + 2.0 * own_q * hover
-            B[o] *= own_slope / slope  # the monitor has one curve: at hover it is true of each axis
+            B[o] *= own_slope / slope  # the monitor has one curve: it is exact for each axis at hover
             part = self._places_of(o)[[*range(self.s), -1]]
             J = np.column_stack([np.diag(own_slope), self.B[o] * bend])
             errors = J @ covariance[np.ix_(part, part)] @ J.T
@@ -380,12 +385,12 @@ class _Descent:
         return Autoregression(coefficients, np.ones(_ORDER + 1))
 
     def _delayed(self, stretch: _Stretch, taps: FloatArray, q: float) -> FloatArray:
-        """Return what drives an axis: each motor's effect behind lag and delay, and a constant (s + 1, N)."""
+        """Return the inputs of an axis: each motor's effect after lag and delay, and a constant (s + 1, N)."""
         v = (1.0 - q) * stretch.u + q * stretch.u * stretch.u
         return np.array([*_lagged(taps, v), np.ones(v.shape[1])])
 
     def _followed(self, driven: FloatArray, a: float) -> FloatArray:
-        """Return how an axis follows what drives it (c, N), where the constant moves it to itself."""
+        """Return the response of an axis to its inputs (c, N), whose constant has a response that settles at one."""
         from scipy.signal import lfilter
 
         x = np.asarray(lfilter([0.0, 1.0], [1.0, -a], driven, axis=-1))
@@ -401,7 +406,7 @@ class _Descent:
     def _columns(
         self, o: int, taps: FloatArray, moved: Sequence[FloatArray]
     ) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
-        """Yield by stretch the residual of an axis and what its coefficients put into x (c, N), and rows that count.
+        """Yield by stretch an axis' residual, the derivatives of x by its coefficients (c, N), and the rows that count.
 
         ``moved`` are the derivatives of the taps.
         """
@@ -432,7 +437,7 @@ class _Descent:
         return derivatives
 
     def _linearise(self) -> _Point:
-        """Return cost and slopes at the coefficients, with the noise that they leave."""
+        """Return cost and slopes at the coefficients, with the noise of their residuals."""
         prior, pull, cost = self._expected()
         H, gradient = prior.copy(), -pull
         blocks = np.cumsum([0, *(ceil(len(stretch.own) / (_BLOCK_S * self.rate_hz)) for stretch in self.stretches)])
@@ -458,7 +463,8 @@ class _Descent:
                 filled = np.flatnonzero(np.diff(np.append(edges, len(rows))))
                 if len(filled):
                     of_axis[np.ix_(first + filled, at)] += np.add.reduceat(white * white[0], edges[filled], axis=1).T
-            # in a closed loop commands know past errors: what the noise's own coefficients explain tells nothing else
+            # in a closed loop commands know past errors: the part that the noise's coefficients explain carries no
+            # information
             share = np.linalg.lstsq(gram[inner:, inner:], gram[inner:, :inner], rcond=None)[0]
             rest = gram[:inner, :inner] - gram[:inner, inner:] @ share
             variance = rest[0, 0] / max(count, 1)
@@ -474,7 +480,7 @@ class _Descent:
         return np.array([*range(o * self.width, (o + 1) * self.width), *range(shared, shared + 3), shared + _CURVES[o]])
 
     def _expected(self) -> tuple[FloatArray, FloatArray, float]:
-        """Return the information in what is expected of times, curves and geometry, its pull there, and its cost."""
+        """Return the information in the expectations of times, curves and geometry, its gradient, and its cost."""
         information = np.zeros((self.size, self.size))
         away = self._coefficients()
         away[-_SHARED:] -= [mean for mean, _ in _USUAL]
@@ -494,12 +500,15 @@ class _Descent:
         return information, pull, 0.5 * float(away @ pull)
 
     def _free(self) -> NDArray[np.bool_]:
-        """Return which coefficients the slope does not hold at their bounds."""
+        """Return the coefficients that the slope does not hold at their bounds."""
         at, fall = self._coefficients(), self.point.gradient
         return ~(((at <= self.least) & (fall < 0.0)) | ((at >= self.most) & (fall > 0.0)))
 
     def _step(self, damping: float) -> FloatArray:
-        """Return the step to the least squares of the linear model; what would leave its bounds ends at them."""
+        """Return the step to the least squares of the linear model.
+
+        Coefficients that would leave their bounds end at them.
+        """
         H = self.point.H + damping * np.diag(np.diag(self.point.H))
         at, step, free = self._coefficients(), np.zeros(self.size), self._free()
         while True:
@@ -513,7 +522,7 @@ class _Descent:
             free &= ~outside
 
     def _inverse(self, H: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
-        """Return the inverse of H among some coefficients, zero elsewhere."""
+        """Return the inverse of H among some coefficients, zero for the others."""
         scale = np.where(free, 1.0 / np.sqrt(np.maximum(np.diag(H), np.finfo(np.float64).tiny)), 0.0)
         inverse = np.linalg.pinv(H * np.outer(scale, scale), rcond=1e-12, hermitian=True)
         return np.asarray(inverse * np.outer(scale, scale))
@@ -547,7 +556,7 @@ class _Descent:
             errors.append(y[rows + 1] - self.a[o] * y[rows] - drive[rows])
             regressors.append(np.array(columns)[:, rows])
         c = float(np.concatenate(errors).mean())
-        for flight in self.places:  # each has an offset of its own
+        for flight in self.places:  # each flight has its own offset
             at = [j for j, stretch in enumerate(self.stretches) if stretch.flight == flight]
             away = np.concatenate([errors[j] for j in at]).mean() - c
             errors = [error - away if j in at else error for j, error in enumerate(errors)]
@@ -561,7 +570,7 @@ class _Descent:
         return c, float(e.std()), float(np.hypot(of_mean, np.sqrt(max(of_others, 0.0))))
 
     def _vertical(self, taps: FloatArray) -> tuple[float, float, float]:
-        """Return b_z, no offset and the deviation of the vertical specific force."""
+        """Return b_z, a zero offset, and the standard deviation of the vertical specific force."""
         q = float(self.shared[3])
         force, thrust = [], []
         for stretch in self.stretches:
@@ -581,13 +590,14 @@ def _lagged(taps: FloatArray, v: FloatArray) -> FloatArray:
 
 
 _FAULT_RATE = 0.5
-"""Units of full command per second by which a loss may develop: the bandwidth knob."""
+"""Rate at which a loss may develop, units of full command per second: it sets the bandwidth."""
 
 
 def turning_alike(B: FloatArray) -> list[list[int]]:
-    """Return the motors that are told apart, by their effects B (3, s) on body rates: one each, or parallel ones.
+    """Return groups of motors by their effects B (3, s) on body rates: motors with parallel effects share a group.
 
-    Two on one arm that turn in the same sense are that: whichever loses thrust, the vehicle moves the same.
+    Two motors on one arm that turn in the same sense have parallel effects: whichever loses thrust, the vehicle moves
+    the same.
     """
     shares = B / np.maximum(np.abs(B).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
     directions = (shares / np.linalg.norm(shares, axis=0)).T

@@ -56,42 +56,44 @@ OBSERVER = "imbalance"
 
 _AXES = ("xacc", "yacc", "zacc")
 _IMUS = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")
-"""Messages of raw accelerations, those of the same rate in order of preference."""
+"""Messages of raw accelerations; among those of the same rate, the preferred ones first."""
 _TICK_S = 0.5
-"""Chosen: lines 2 Hz apart are told apart, a fiftieth of what rotors turn; over a longer tick more of the speeds'
-errors would add up in the angle."""
+"""Length of a tick, seconds. Chosen: lines 2 Hz apart are told apart, a fiftieth of the frequency of rotors; over a
+longer tick the speeds' errors would add up to more in the angle."""
 _LARGEST_DRIFT = 0.5
-"""Turns (standard deviation) by which a straight line over two intervals of the speeds' telemetry may miss the angle.
-Measured on a simulated quadrotor in gusts, an imbalance of each propeller in turn: at 0.01, 0.07 and 0.39 (50, 20 and
-10 Hz) each is named alone, at 1.6 and 2.7 (5 and 3 Hz) others are named in five of eight."""
+"""Largest error of the angle (standard deviation, turns) on a straight line over two intervals of the speeds'
+telemetry. Measured on a simulated quadrotor in gusts, with an imbalance of each propeller in turn: at 0.01, 0.07 and
+0.39 (50, 20 and 10 Hz) each is named alone, at 1.6 and 2.7 (5 and 3 Hz) others are named in five of eight."""
 _MEMORY_S = 2.0
-"""Chosen: four ticks; the speeds of motors part within seconds of any manoeuvre."""
+"""Time over which lines are averaged, seconds. Chosen: four ticks; the speeds of motors separate within seconds of any
+manoeuvre."""
 _HIGHEST = 0.45
-"""Share of the accelerometer's rate up to which a line is told: a twentieth below half of it, the width that jitter of
-stamps and the steps of speeds between their measurements take."""
+"""Largest frequency of a line, as a share of the accelerometer's rate: a twentieth below half of it, the width that
+jitter of stamps and the steps of speeds between their measurements take."""
 _RIDGE = 0.01
-"""Added to the diagonal of the normal equations, as a share of it: chosen, what cannot be parted is shared out, what
-can is off by a hundredth."""
+"""Term added to the diagonal of the normal equations, as a share of it. Chosen: lines that cannot be separated are
+shared out, lines that can are off by a hundredth."""
 _LEAST_LEVEL = 0.3
-"""m/s^2: what is below counts as that. Chosen: a tenth of the level of a good vehicle (that of the vibration observer):
-one line of many."""
+"""Smallest amplitude that counts, m/s^2; a smaller one counts as this. Chosen: a tenth of the level of a good vehicle
+(that of the vibration observer), for one line of many."""
 _LEAST_LEFT = 0.05
-"""Least deviation of logarithms that is left: chosen, that of the vibration observer."""
+"""Least remaining deviation of logarithms. Chosen: that of the vibration observer."""
 _SQUARE = 2.0
-"""An imbalance pulls with the square of the speed."""
+"""Exponent of the speed in an imbalance's force."""
 _WIDTH = 1.0
-"""How far the exponent may be off that: chosen, arms and mounts answer in proportion to it or its cube near their
-resonance; where flights show less, this counts."""
+"""Expected deviation of the exponent. Chosen: near their resonance, arms and mounts answer in proportion to the speed
+or to its cube; it decides if flights show less."""
 _SMALLEST, _CRITICAL = math.log(2.5), math.log(6.25)
-"""Times the usual imbalance that are worth an alarm, and critical: one and two grades of balance (ISO 21940-11, whose
-grades are a factor of 2.5 apart)."""
+"""Ratios to the usual imbalance that are worth an alarm, and critical, as logarithms: one and two grades of balance
+(ISO 21940-11, whose grades are a factor of 2.5 apart)."""
 _EXCUSED_S = 5.0
-"""After the alarm of a propeller has cleared, seconds, the vehicle's level of vibration is explained by it: both levels
-have a memory of seconds."""
+"""Time after a propeller's alarm has cleared in which it explains the vehicle's level of vibration, seconds: both
+levels have a memory of seconds."""
 _FAULT_RATE = 0.5
-"""Logarithms per second by which an imbalance may grow: chosen, a chip doubles it at once, seen over two seconds."""
+"""Rate at which an imbalance may grow, logarithms per second. Chosen: a chip doubles it at once, seen over two
+seconds."""
 _TIMES = Times(fast_s=1.0, raise_s=2.0, slow_s=10.0, clear_s=2.0)
-"""Chosen: those of the vibration observer, of which this is a part."""
+"""Times of the alarms. Chosen: those of the vibration observer, since an imbalance is a part of the vibration."""
 
 
 class ImbalanceInputs:
@@ -151,7 +153,7 @@ class Lines:
         """Return speeds as ``u`` (n, motors), rpm, and amplitudes as ``y`` (n, motors), m/s^2, of ticks that end."""
         acceleration, rpm = samples.u[:, : len(_AXES)], samples.u[:, len(_AXES) :]
         with np.errstate(all="ignore"):
-            # more than half a turn from sample to sample is no speed that could be used, and would cost digits for ever
+            # a speed of more than half a turn from sample to sample is of no use, and would spoil the angle's precision
             steps = np.clip(math.tau / 60.0 / self._rate_hz * rpm, 0.0, math.pi)
             # never wrapped, so that it does not depend on where the samples are cut: good to 1e-7 after a day
             angles = np.cumsum(np.vstack([self._angle, steps]), axis=0)
@@ -171,7 +173,7 @@ class Lines:
         return Given(replace(means, u=speed, y=amplitude, lost=lost), given.rows)
 
     def _solved(self, means: Array) -> tuple[Array, Array]:
-        """Return, of means over ticks, how well each motor's line is told from others, and its square (n, motors)."""
+        """Return from means over ticks how well each motor's line is told from others, and its square (n, motors)."""
         width = 1 + 2 * self._motors
         normal = np.zeros((len(means), width, width))
         normal[:, self._rows, self._columns] = means[:, : len(self._rows)]
@@ -183,7 +185,7 @@ class Lines:
         found = (inverse @ np.where(good[:, :, None], right, 0.0))[:, 1:]
         pairs = (len(means), self._motors, 2)
         square = (found**2).sum(axis=2).reshape(pairs).sum(axis=2)
-        # alone, cosine and sine have a variance of two over the number of samples
+        # for a single line, cosine and sine have a variance of two over the number of samples
         alike = np.diagonal(inverse, axis1=1, axis2=2)[:, 1:].reshape(pairs).sum(axis=2)
         return np.where(good, 4.0 / alike, 0.0), square
 
@@ -244,7 +246,7 @@ def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
 
 
 def _drift(speeds: Sequence[Array], signal_hz: float, rate_hz: float) -> float:
-    """Return by how many turns a straight line between two measurements of a speed misses (standard deviation).
+    """Return the error (standard deviation, turns) of a straight line between two measurements of a speed.
 
     Every second measurement is left out and compared with the line through its neighbours, which is twice as long.
     """
@@ -257,7 +259,7 @@ def _drift(speeds: Sequence[Array], signal_hz: float, rate_hz: float) -> float:
 def _learned(
     raw: Sequence[Flight], numbers: Sequence[int], hover: Sequence[float], signal_hz: float, rate_hz: float
 ) -> tuple[dict[str, float], float]:
-    """Return the transform's parameters, and the standard deviation of the logarithms that is left."""
+    """Return the transform's parameters, and the remaining standard deviation of the logarithms."""
     speeds, amplitudes = [], []
     for flight in raw:
         given = Lines(len(numbers), signal_hz, round(signal_hz / rate_hz)).run(flight.samples)
@@ -270,7 +272,7 @@ def _learned(
     parameters = {f"output{at}": float(n) for at, n in enumerate(numbers, start=1)} | {"least": _LEAST_LEVEL}
     left = []
     for at, n in enumerate(numbers):
-        # ticks within the memory are alike
+        # ticks within the memory are correlated
         weight = max(float(y[:, at].std()), _LEAST_LEFT) * math.sqrt(_MEMORY_S * rate_hz) / _WIDTH
         A = np.vstack([np.column_stack([np.ones(len(x)), x[:, at]]), [0.0, weight]])
         c = np.linalg.lstsq(A, np.append(y[:, at], weight * _SQUARE), rcond=None)[0]

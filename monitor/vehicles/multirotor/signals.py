@@ -38,17 +38,18 @@ MESSAGES = (
 )
 
 _FEW_OUTSIDE = 0.01
-"""Share of values that no pulse has from which on an output holds no pulses: fewer may be lost or damaged packets."""
+"""Largest share of values outside the range of pulses for which an output holds pulses: these may be lost or damaged
+packets."""
 _PULSE_RANGE = (1000.0, 2000.0)
-"""Pulses of zero and of full command, microseconds, as ArduPilot and PX4 have them by default."""
+"""Pulses of zero and of full command, microseconds: the defaults of ArduPilot and PX4."""
 _GAZEBO_RANGE = (150.0, 1000.0)
-"""SIM_GZ_EC_MIN and SIM_GZ_EC_MAX of PX4's gz_x500: what its commands 0 to 1 of motors become."""
+"""SIM_GZ_EC_MIN and SIM_GZ_EC_MAX of PX4's gz_x500: the values of its motor commands 0 and 1."""
 _UNKNOWN = 65_535
-"""MAVLink's voltage of a cell that is not measured, or not there."""
+"""Value of MAVLink for the voltage of a cell that is not measured, or does not exist."""
 _FEWEST_MOTORS = 3
-"""Tricopters are the smallest multirotors."""
+"""Smallest number of motors of a multirotor, that of a tricopter."""
 _ALIKE = 2.0
-"""How far an output's mean may be from the median of all that move, as a factor, to be one of the motors."""
+"""Largest ratio of a motor output's mean to the median of all outputs that move, in either direction."""
 
 # Messages and fields of body rates, the preferred ones first.
 _RATES = {
@@ -60,16 +61,16 @@ _RATES = {
 
 @dataclass(frozen=True, slots=True)
 class CommandRange:
-    """Which outputs are motors, and what of their values is no command and full command."""
+    """The outputs that are motors, and their values for no command and full command."""
 
     motors: tuple[int, ...]  # numbers of the outputs
-    # values that stand for 0 and for 1
+    # values for commands 0 and 1
     stop: float
     full: float
 
     @property
     def pulses(self) -> bool:
-        """Whether they are pulses of 1000 to 2000 microseconds."""
+        """Whether the values are pulses of 1000 to 2000 microseconds."""
         return (self.stop, self.full) == _PULSE_RANGE
 
 
@@ -135,9 +136,10 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
 
 
 def battery_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...], float]:
-    """Return the channels of a battery's voltage, current and charge, and how many are reported in a second.
+    """Return the channels of a battery's voltage, current and charge, and their rate, hertz.
 
-    Of the two messages the one that comes more often; that of cells has a channel for the voltage of each further one.
+    Of the two messages, the one that comes more often is used; the message of cells has a channel for the voltage of
+    each further cell.
     """
     message = max((BATTERY_MESSAGE, CELLS_MESSAGE), key=partial(least_hz, surveys))
     in_cells = message == CELLS_MESSAGE
@@ -162,7 +164,7 @@ def battery_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...], fl
 
 
 def hover_pulse(surveys: Sequence[Survey], commands: CommandRange) -> float:
-    """Return the mean of the motors' values while armed; where wings fly the vehicle at times, of those above idle."""
+    """Return the mean of the motors' values while armed; for vehicles with wings, of the values above idle."""
     outputs = [(survey.outputs[number], survey.is_vtol) for survey in surveys for number in commands.motors]
     return sum(output.running if winged else output.mean for output, winged in outputs) / len(outputs)
 
@@ -170,18 +172,19 @@ def hover_pulse(surveys: Sequence[Survey], commands: CommandRange) -> float:
 def motor_commands(surveys: Sequence[Survey]) -> CommandRange:
     """Find the outputs that are motors, and the range of their commands.
 
-    Outputs that move and, by the vehicle's parameters, drive motors that lift are those, from 1000 to 2000
-    microseconds. Without parameters pulses above idle that moved while armed are motors. Simulators send speeds of the
-    speed controllers in place of pulses, logs of some autopilots DShot values: where fewer than three
-    pulses move, those outputs are motors whose values are no pulses and many in every log, and of about the same mean.
-    Within 150 to 1000 they are taken for those of PX4 with Gazebo, which has that range. Else zero is no command, and
-    full the largest value seen, rounded up to 1, 2 or 5 times a power of ten.
+    Motors are the outputs that move and, by the vehicle's parameters, drive lifting motors, from 1000 to 2000
+    microseconds. Without parameters, they are the pulses above idle that moved while armed.
+
+    Simulators send speeds for the speed controllers in place of pulses, logs of some autopilots DShot values. If fewer
+    than three pulses move, motors are the outputs with other values than pulses, many in every log and of about the
+    same mean. Values within 150 to 1000 are taken for those of PX4 with Gazebo, which has that range. Otherwise zero is
+    no command, and full command is the largest value seen, rounded up to 1, 2 or 5 times a power of ten.
 
     Raises
     ------
     TelemetryError
-        Fewer than three move; the text says what each output did. Or it is a helicopter, or has rotors and wings
-        of which nothing tells which outputs drive them.
+        Fewer than three outputs move (the text describes each output), or the vehicle is a helicopter, or it has rotors
+        and wings and nothing shows which outputs drive its rotors.
     """
     lifting = (lifting_outputs(found.parameters, "tricopter" in found.vehicle_types) for found in surveys)
     rotors: frozenset[int] = next(filter(None, lifting), frozenset())
@@ -213,7 +216,7 @@ def motor_commands(surveys: Sequence[Survey]) -> CommandRange:
 
 
 def _check_rotors(surveys: Sequence[Survey]) -> None:
-    """Refuse a helicopter, and a vehicle with wings where no parameter tells which outputs are its rotors."""
+    """Refuse a helicopter, and a vehicle with wings if no parameter shows which outputs are its rotors."""
     if any("helicopter" in found.vehicle_types or is_helicopter(found.parameters) for found in surveys):
         raise TelemetryError(
             "the vehicle is a helicopter: servos turn its blades, not motors, and they are not watched; --vehicle "
@@ -228,7 +231,7 @@ def _check_rotors(surveys: Sequence[Survey]) -> None:
 
 
 def range_text(commands: CommandRange, surveys: Sequence[Survey]) -> str:
-    """Return, for people, what was taken as the range of commands that are no pulses."""
+    """Return the assumed range of commands that are no pulses, for people."""
     low, high = _extremes(surveys, commands.motors)
     return (
         f"motor commands are no pulses of 1000 to 2000 us but {low} to {high}: "
@@ -255,7 +258,7 @@ def _is_no_pulse(output: MotorOutput) -> bool:
 
 
 def _seen(surveys: Sequence[Survey], number: int) -> str:
-    """Return the range of an output over all logs, empty where it gave nothing."""
+    """Return the range of an output over all logs, empty if it has no values."""
     seen = [survey for survey in surveys if number in survey.outputs]
     if not seen:
         return ""

@@ -1,4 +1,4 @@
-"""Which messages hold what motors turn and draw, and which speed controller drives which motor."""
+"""Which messages hold the speeds and currents of motors, and which speed controller drives which motor."""
 
 from __future__ import annotations
 
@@ -17,30 +17,35 @@ from monitor.sampling.gate import GateRule
 
 _STATUS = "ESC_STATUS"
 _OF_A_MESSAGE = 4
-"""Speed controllers in a message of either kind."""
+"""Number of speed controllers in a message of either kind."""
 _COMPARED_HZ = 50.0
-"""Grid on which commands and speeds are compared: a lag of 50 ms shows on it."""
+"""Rate of the grid on which commands and speeds are compared, hertz: it resolves a lag of 50 ms."""
 _USUAL_LAG_S = 0.05
-"""A motor's usual lag: that of PX4's SIH, within a factor of two and a half of those of other motors (20 to 100 ms)."""
+"""Usual lag of a motor, seconds: that of PX4's SIH, within a factor of two and a half of the lag of other motors (20 to
+100 ms)."""
 _CLEARLY = 0.05
-"""Share of the speeds' variance by which another order of controllers has to explain more, to be believed. Chosen: what
-noise adds is below a hundredth after half a minute, a wrong order loses a tenth and more of a flight that turns."""
+"""Share of the speeds' variance that another order of controllers has to explain beyond the given one to be believed.
+Chosen: after half a minute, noise adds less than a hundredth; in a flight that turns, a wrong order loses a tenth
+and more."""
 
 
 @dataclass(frozen=True, slots=True)
 class EscSignals:
-    """Channels of what speed controllers measure, one for each motor, and how often they come."""
+    """Channels of the measurements of speed controllers, one for each motor, and their rate."""
 
     speed: tuple[Channel, ...]  # rpm
     current: tuple[Channel, ...]  # A
     voltage: tuple[Channel, ...]  # V
     rate_hz: float
     hover: tuple[float, ...] = ()  # usual speeds in flight, rpm
-    # whether the controllers measure voltages: without, speeds may be made out of commands, as PX4's simulator does
+    # whether the controllers measure voltages: otherwise speeds may be computed from commands, as by PX4's simulator
     measured: bool = True
 
     def ordered(self, order: Sequence[int], numbers: Sequence[int], hover: Sequence[float]) -> EscSignals:
-        """Return the channels of some controllers, named after the outputs with these numbers; ``hover`` is of all."""
+        """Return the channels of some controllers, named after the outputs with these numbers.
+
+        ``hover`` has all controllers.
+        """
 
         def chosen(channels: tuple[Channel, ...], name: str) -> tuple[Channel, ...]:
             return tuple(replace(channels[at], name=f"{name}{n}") for at, n in zip(order, numbers, strict=True))
@@ -55,10 +60,10 @@ class EscSignals:
         )
 
     def thrusts(self) -> tuple[Channel, ...]:
-        """Return the thrusts that the speeds should give, in shares of those of hovering.
+        """Return the thrusts expected at the speeds, as shares of those in hover.
 
-        They are u = 2 w - 1 of the speed w as a share of the usual one: the tangent of w^2, which is quadratic in it.
-        Thrust has no lag behind speed, so what acts until the next tick is their mean until then.
+        They are u = 2 w - 1 of the speed w as a share of the usual one: the tangent of w^2, since thrust is quadratic
+        in speed. Thrust has no lag after speed, so the thrust until the next tick is the mean until then.
         """
         return tuple(
             replace(
@@ -73,7 +78,7 @@ class EscSignals:
 
 
 def esc_signals(surveys: Sequence[Survey], motors: int) -> EscSignals | None:
-    """Return the channels of all speed controllers that every recording reports; None where they are too few.
+    """Return the channels of all speed controllers that every recording reports; None if there are too few.
 
     Names are ``rpm1``, ``amps1``, ``volts1`` and so on in the order of the messages.
     """
@@ -86,7 +91,7 @@ def esc_signals(surveys: Sequence[Survey], motors: int) -> EscSignals | None:
             places.append((_STATUS, slot % _OF_A_MESSAGE, where, 1.0))
     else:
         for message in (name for name in ESC_MESSAGES if name in common):
-            # hundredths of volts and amperes
+            # in hundredths of volts and amperes
             places += ((message, element, (), 0.01) for element in range(_OF_A_MESSAGE))
     if len(places) < motors:
         return None
@@ -115,11 +120,11 @@ def esc_signals(surveys: Sequence[Survey], motors: int) -> EscSignals | None:
 
 
 def motor_speeds(request: FitRequest, gate: GateRule, commands: Sequence[Channel]) -> EscSignals | None:
-    """Return what speed controllers report of each motor, in the order of its commands; None where they do not.
+    """Return the reports of speed controllers for each motor, in the order of its commands; None if there are none.
 
-    Autopilots number them after the outputs or in an order of their own. Which is which is told by the speeds: each
-    controller goes to the motor whose commands its speed follows best, all together, where that is clearly better than
-    the order of the messages.
+    Autopilots number controllers after the outputs or in an order of their own. The speeds decide: each controller is
+    assigned to the motor whose commands its speed follows best, all together, if that is clearly better than the order
+    of the messages.
     """
     found = esc_signals(request.surveys, len(commands))
     if found is None:
@@ -144,7 +149,7 @@ def motor_speeds(request: FitRequest, gate: GateRule, commands: Sequence[Channel
 
 
 def _order(commands: NDArray[np.float64], speeds: NDArray[np.float64]) -> list[int] | None:
-    """Return the column of speeds (N, m) that follows each of the commands (N, s); None where one is still."""
+    """Return the column of speeds (N, m) that follows each of the commands (N, s); None if one does not move."""
     from scipy.optimize import linear_sum_assignment
 
     turning = np.flatnonzero(speeds.std(axis=0) > 0.0)
@@ -160,5 +165,5 @@ def _order(commands: NDArray[np.float64], speeds: NDArray[np.float64]) -> list[i
 
 
 def rounded(value: float) -> float:
-    """Return a number to six digits, as a profile holds it."""
+    """Return a number rounded to six digits, as a profile holds it."""
     return float(f"{value:.6g}")

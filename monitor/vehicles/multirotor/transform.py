@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 TERMS = 4
 """Coefficients of a motor's curve."""
 _KNOWN = 0.99
-"""Share of what was expected that has to come from commands as they were flown: what is left is below the smallest
+"""Share of an expectation that has to come from commands within the flown range: the rest is below the smallest
 deviation worth an alarm."""
 
 
@@ -54,9 +54,9 @@ class HeldMeans:
         self._held = np.zeros((1, inputs + outputs))
 
     def run(self, samples: Samples, columns: Sequence[Array], speed: Array) -> Given:
-        """Go on by raw samples: return the means, each where its tick ends.
+        """Process raw samples: return the means, each at the end of its tick.
 
-        ``columns`` are u and behind it y, one each (n,); speeds (s, n) are measured where one of them changes.
+        ``columns`` are u followed by y, one each (n,); speeds (s, n) count as measured when one of them changes.
         """
         everywhere = np.ones(len(samples), np.bool_)
         if not len(samples):
@@ -71,9 +71,9 @@ class HeldMeans:
 
 
 class OneTickLater:
-    """Puts measurements one tick later, to what a plant that takes a tick makes of expectations.
+    """Delays measurements by one tick, for a plant that delays expectations by one tick.
 
-    In columns of ``at_least`` less than was expected is no fault, and counts as that.
+    In columns of ``at_least``, a measurement below the expectation is no fault, and counts as the expectation.
     """
 
     def __init__(self, at_least: slice) -> None:
@@ -81,7 +81,7 @@ class OneTickLater:
         self._before: Samples | None = None
 
     def run(self, samples: Samples) -> Samples:
-        """Return the samples with the measurements of the tick before, of the same tick at a restart."""
+        """Return the samples with the measurements of the tick before, or of the same tick at a restart."""
         if not len(samples):
             return samples
         before = samples.part(0, 1) if self._before is None else self._before
@@ -106,7 +106,7 @@ class OneTickLater:
 
 
 def motor_outputs(parameters: Mapping[str, float]) -> dict[str, int]:
-    """Return the numbers of the motors' outputs by their parameters, ``output1`` and so on as far as they go."""
+    """Return the motors' output numbers from the parameters ``output1``, ``output2``, up to the first missing one."""
     outputs: dict[str, int] = {}
     while (key := f"output{len(outputs) + 1}") in parameters:
         outputs[key] = int(parameters[key])
@@ -168,7 +168,7 @@ class EscInputs:
             measured = np.vstack([speed, *more]) / self._units[:, None]
             parts = terms(command, measured[: self._motors], v)
             expected = sum(c[:, None] * part[: len(c)] for c, part in zip(self._curves.T, parts, strict=True))
-        # what commands that were not flown do to speeds passes as slowly as those commands themselves
+        # the effect on speeds of commands outside the flown range fades as slowly as that of the commands themselves
         before = command[:, :1] if self._command is None else self._command
         steps = np.abs(np.diff(command, prepend=before)).max(axis=0)
         flown = (command >= self._least).all(axis=0) & (samples.restart | (steps <= self._largest_step))
@@ -179,7 +179,7 @@ class EscInputs:
         means = given.samples
         lost = means.lost[:, 2:] | (means.u[:, :1] < _KNOWN)
         later = self._later.run(replace(means, u=means.u[:, 2:], lost=lost))
-        # a sample compares what was expected a tick before
+        # a sample compares with the expectation of the tick before
         beyond = np.append(self._beyond, means.u[:, 1])
         self._beyond = beyond[-1:]
         unflown = np.asarray(later.lost.all(axis=1) & ~means.lost[:, 2:].any(axis=1))
@@ -187,14 +187,15 @@ class EscInputs:
 
 
 def deviation(volts: Array, usual: float) -> Array:
-    """Return how far the mean of all controllers' voltages (s, n) is from the usual one, as a share of it (n,)."""
-    return np.asarray(sum(volts) / len(volts) / usual - 1.0)  # added one after the other, however many rows there are
+    """Return the relative deviation (n,) of the mean of all controllers' voltages (s, n) from the usual voltage."""
+    # added one after the other, so that the sum does not depend on the number of rows
+    return np.asarray(sum(volts) / len(volts) / usual - 1.0)
 
 
 def terms(command: Array, speed: Array, v: Array) -> tuple[Array, ...]:
-    """Return what the coefficients of the curves multiply, :data:`TERMS` arrays (2 s, n): of speeds, then of currents.
+    """Return the factors of the curves' coefficients, :data:`TERMS` arrays (2 s, n): of speeds, then of currents.
 
-    Commands and speeds, in shares of that of hovering, are (s, n).
+    Commands, and speeds as shares of those in hover, are (s, n).
     """
     applied, power = command * (1.0 + v), speed / (1.0 + v)
     of_speed = np.ones_like(command), applied, applied * applied, command * v

@@ -33,47 +33,48 @@ from monitor.vehicles.multirotor.frames import Frame, standard_frames
 from monitor.vehicles.multirotor.identify import USUAL, MultirotorFit
 
 SLOW_COMMANDS_HZ = 25.0
-"""Motor commands slower than this are taken as means. At 25 Hz two samples fall into the lag of a motor (50 to
-100 ms with its link), fewer cannot show how it answers."""
+"""Rate of motor commands below which their means are used, hertz. At 25 Hz two samples fall into the lag of a motor (50
+to 100 ms with its link); fewer cannot show how it answers."""
 COMMANDS_PER_TICK = 2
-"""Commands in a tick, at least. Measured on ArduPilot and PX4 at 10 Hz and on radios at 2 Hz: two see a motor with
-12 to 15 % less after 0.6 to 4 s, three after 0.5 to 11 s, with as few false alarms; more are later still."""
+"""Least number of commands in a tick. Measured on ArduPilot and PX4 at 10 Hz and on radios at 2 Hz: two detect a motor
+with 12 to 15 % less thrust after 0.6 to 4 s, three after 0.5 to 11 s, with as few false alarms; more are later
+still."""
 TRIM_HZ = 1.0
-"""Ticks per second of the observer beside a faster one. Measured on 120 flights of a real quadcopter of 30 g with cut
-propellers (15 s each, docs/leaderboard.md): ticks of 0.2 s name a motor in 9, of 1 s in 66."""
+"""Rate of the observer beside a faster one, ticks per second. Measured on 120 flights of a real quadcopter of 30 g with
+cut propellers (15 s each, docs/leaderboard.md): ticks of 0.2 s name a motor in 9 flights, of 1 s in 66."""
 _SHOWS = 0.5
-"""Share of the torque's variance that motion explains, from which on p_1 is taken from the flights as it is. Below, it
-lies between the regressions of either on the other, which are further apart than a factor of two."""
+"""Share of the torque's variance that motion has to explain for p_1 to be taken from the flights as it is. With a
+smaller share, p_1 lies between the regressions of either on the other, which are further apart than a factor of two."""
 _TURNED = 0.3
-"""rad/s of yaw that have to have been flown for the yaw axis to count. A turn asks for more torque than manoeuvres
-about other axes do (p_1 is 13 to 32 times larger), and hovering does not show how much: at 0.3 rad/s^2 as much as a
-motor that lost 15 %."""
+"""Least flown rate of yaw, rad/s, for which the yaw axis counts. A turn needs more torque than manoeuvres about other
+axes (p_1 is 13 to 32 times larger), and hovering does not show how much: at 0.3 rad/s^2 as much as a motor that lost
+15 %."""
 _BRISK = 0.5
-"""rad/s of roll or pitch that have to have been flown for the flights to show manoeuvres."""
+"""Least flown rate of roll or pitch, rad/s, for which the flights show manoeuvres."""
 SMALLEST_LOSS, SMALLEST_UNSHOWN = 0.03, 0.08
-"""Smallest losses at hover worth an alarm: of flights with manoeuvres, and of hovering alone. Measured: in flights that
-were left out of the fit estimates reached 2.6 % (sticks at 60 degrees of tilt, over a radio); in brisk flights watched
-with a profile of two hovering minutes 5 %."""
+"""Smallest losses in hover that are worth an alarm: learned from flights with manoeuvres, and from hovering alone.
+Measured: in flights that were left out of the fit, estimates reached 2.6 % (sticks at 60 degrees of tilt, over a
+radio); in brisk flights watched with a profile of two hovering minutes, 5 %."""
 _LOSS_PER_S = 0.05
-"""The same, per second of a tick: between commands a second apart more happens than they tell. Measured over a radio at
-1 Hz, ticks of 2 s: a jump of GPS that the vehicle followed moved an estimate by 8 %."""
+"""Smallest loss per second of a tick: commands a second apart miss more of the motion. Measured over a radio at 1 Hz,
+ticks of 2 s: a jump of GPS that the vehicle followed moved an estimate by 8 %."""
 _LONGEST_S = 2.0
-"""Seconds of a tick up to which that grows: what a vehicle does about a jump or a gust is over then, and two commands
-tell as much of the mean one however far apart they are."""
+"""Length of a tick up to which that loss grows, seconds: the vehicle's reaction to a jump or a gust is over then, and
+two commands represent the mean command equally well however far apart they are."""
 _FEWEST_S = 20.0
-"""Least healthy flight to learn the trim from, seconds."""
+"""Least healthy flight from which the trim is learned, seconds."""
 _SLOWEST = 1e-6
-"""Least decay of a rate in a tick: no vehicle turns on for ever, and the formulas divide by it."""
+"""Least decay of a rate in a tick: no vehicle turns on for ever, and the formulas divide by the decay."""
 _LAGS = np.linspace(0.0, 0.9, 10)
-"""Shares of a tick tried as lag; a tenth of a tick is less than the jitter of such streams."""
+"""Lags that are tried, as shares of a tick; a tenth of a tick is less than the jitter of such streams."""
 _LATEST = 2
-"""Ticks by which the motion may come later than the command: at 15 to 25 Hz more than motor and link take together."""
+"""Largest delay of the motion after the command, ticks: at 15 to 25 Hz more than motor and link take together."""
 _TELLS = 3.0
-"""Standard errors from which on motion tells one frame from another."""
+"""Standard errors from which motion tells one frame from another."""
 
 
 def smallest_loss(segments: Sequence[Segment], commands_hz: float) -> float:
-    """Return the smallest loss at hover that a trim learned from these flights, of commands at a rate, can show."""
+    """Return the smallest loss in hover that a trim of these flights can show, with commands at this rate."""
     brisk = max(float(np.abs(segment.y[:, :2]).max()) for segment in segments) > _BRISK
     tick_s = min(COMMANDS_PER_TICK / commands_hz, _LONGEST_S)
     return max(SMALLEST_LOSS if brisk else SMALLEST_UNSHOWN, _LOSS_PER_S * tick_s)
@@ -92,7 +93,7 @@ def slow_times(rate_hz: float) -> Times:
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """Result of the regression of one axis."""
+    """Result of one axis' regression."""
 
     p: FloatArray
     error_std: float
@@ -148,7 +149,7 @@ def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> 
 
 
 def usable_segments(segments: Sequence[Segment], rate_hz: float) -> list[Segment]:
-    """Return the segments that are long enough to say something.
+    """Return the segments that are long enough to be used.
 
     Raises
     ------
@@ -200,7 +201,7 @@ def choose_frame(segments: Sequence[Segment], rate_hz: float) -> Frame | None:
 
 
 def _agreement(u: FloatArray, change: FloatArray, middle: FloatArray, frame: Frame) -> FloatArray:
-    """Return how clearly the torques of a frame go with the motion, per axis (3,)."""
+    """Return how clearly the torques of a frame agree with the motion, per axis (3,)."""
     scores = np.zeros(3)
     for o in range(3):
         e = u @ frame.effects[o]
@@ -213,7 +214,7 @@ def _agreement(u: FloatArray, change: FloatArray, middle: FloatArray, frame: Fra
 
 
 def _motion(segments: Sequence[Segment], rate_hz: float) -> tuple[FloatArray, FloatArray]:
-    """Return change per second and middle of the rates over each tick but a segment's first (N, 3)."""
+    """Return change per second and mean of the rates over each tick except a segment's first (N, 3)."""
     change = np.vstack([(s.y[2:, :3] - s.y[1:-1, :3]) * rate_hz for s in segments])
     middle = np.vstack([(s.y[2:, :3] + s.y[1:-1, :3]) / 2.0 for s in segments])
     return change, middle
@@ -234,10 +235,10 @@ def _axes(
 
 
 def _torque_per_motion(axis: _Axis, usual: float) -> float:
-    """Return p_1: as the flights show it, else the usual one within what they allow.
+    """Return p_1 of the flights if they show it, otherwise the usual one within the range that they allow.
 
-    Where gusts move a vehicle more than its pilot, torque follows gust and not motion, and the regression shrinks
-    p_1; that of motion on torque enlarges it by one over the share explained.
+    If gusts move a vehicle more than its pilot, torque follows gust and not motion, and the regression gives a p_1 that
+    is too small; the regression of motion on torque gives one that is too large by one over the explained share.
     """
     least = max(axis.p[1], 0.0)
     if axis.explained >= _SHOWS and least > 0.0:

@@ -43,33 +43,35 @@ OBSERVER = "vibration"
 CLIPPING = "clipping"
 _MESSAGE, _AXES = "VIBRATION", "xyz"
 _COUNTERS = tuple(f"clipping_{at}" for at in range(3))
-"""Counters of the three IMUs."""
+"""Names of the clip counters of the three IMUs."""
 _SIGNAL_HZ, _FASTEST_HZ, _SLOWEST_HZ = 25.0, 5.0, 0.3
-"""Grid of commands and rates, and bounds of the observer's own. Chosen: levels are means over half a second and more,
-and one that comes every three seconds still shows what a flight of minutes does."""
+"""Rate of the grid of commands and rates, and bounds of the observer's rate, hertz. Chosen: levels are means over half
+a second and more, and a level every three seconds still shows the course of a flight of minutes."""
 _LAG_S = 0.5
-"""How late the level follows: ArduPilot takes the root of a square that went through a low-pass filter of 2 Hz, behind
-one of 5 Hz; PX4 weighs a level anew with each sample, over a second."""
+"""Lag of the level, seconds: ArduPilot takes the root of a square that went through a low-pass filter of 2 Hz, behind
+one of 5 Hz; PX4 averages the level over a second, updated with each sample."""
 _LEAST_LEVEL = 3.0
-"""m/s^2: what is below counts as that, the level of a good vehicle, a tenth of what ArduPilot's guide accepts at most.
-Air alone moves what is below: of eight healthy flights in its simulator the medians are 0.2 to 2.1, the highest single
-levels, in gusts, 5.8; from one learned in calm air the others differ tenfold."""
+"""Smallest level that counts, m/s^2; a smaller one counts as this. It is the level of a good vehicle, a tenth of the
+largest that ArduPilot's guide accepts. Air alone changes smaller levels: in eight healthy flights in its simulator
+the medians are 0.2 to 2.1, the highest single levels, in gusts, 5.8; the others differ tenfold from a flight in calm
+air."""
 _LEAST_LEFT = 0.05
-"""Least deviation of logarithms that is left, where all levels are below that: a twentieth, no level is steadier."""
+"""Least remaining deviation of logarithms, for flights with all levels below the smallest: a twentieth, no level is
+steadier."""
 _WIDTH = 2.0
-"""How much a logarithm may differ between no throttle and full, commands together and apart, and per rad/s: chosen, a
-factor of seven; where flights show less of it, it counts."""
+"""Expected change of a logarithm between no throttle and full, between commands together and apart, and per rad/s.
+Chosen: a factor of seven; it decides if flights show less."""
 _SMALLEST, _CRITICAL = math.log(3.0), math.log(10.0)
-"""Three times the expected level is worth an alarm, ten times is critical. Chosen: flights leave a factor of two
-unexplained; from the 3 m/s^2 of a good vehicle ten times is what ArduPilot's guide accepts at most."""
+"""Ratios to the expected level that are worth an alarm, and critical, as logarithms. Chosen: flights leave a factor of
+two unexplained; ten times the 3 m/s^2 of a good vehicle is the largest level that ArduPilot's guide accepts."""
 _CLIPPED, _CRITICALLY = 10.0, 100.0
-"""Samples a second at an accelerometer's end that are worth an alarm, and critical. Chosen: of the thousand that IMUs
-take a hundredth and a tenth, each a piece of 16 g and more that is lost; healthy flights have none, a stone or a hard
-landing some at once."""
+"""Clipped samples per second that are worth an alarm, and critical. Chosen: a hundredth and a tenth of the thousand
+that IMUs take, each a loss of a sample of 16 g and more; healthy flights have none, a stone or a hard landing causes
+some at once."""
 _TIMES = Times(fast_s=1.0, raise_s=2.0, slow_s=10.0, clear_s=2.0)
-"""Chosen: touching down, or a gust, is over within a second."""
+"""Times of the alarms. Chosen: a touchdown or a gust is over within a second."""
 _FAULT_RATE = 0.5
-"""Logarithms per second by which vibration may grow: chosen, a crack doubles it in some seconds."""
+"""Rate at which vibration may grow, logarithms per second. Chosen: a crack doubles it in some seconds."""
 
 
 class VibrationInputs:
@@ -104,7 +106,7 @@ class VibrationInputs:
         return Given(self._later.run(self._clipped(given.samples)), given.rows)
 
     def _clipped(self, samples: Samples) -> Samples:
-        """Return samples with clips per second in place of their counter; a counter that begins anew counts nothing."""
+        """Return samples with clips per second in place of their counter; a counter that restarts counts nothing."""
         if not len(samples):
             return samples
         counter = samples.y[:, 1]
@@ -126,12 +128,13 @@ def signal_names(motors: int) -> tuple[str, ...]:
 
 
 def explained(signals: Array, motors: int) -> tuple[Array, tuple[Array, ...]]:
-    """Return the level (n,) and what explains it, of raw signals (number of signals, n)."""
+    """Return the level (n,) and its causes, of raw signals (number of signals, n)."""
     x, y, z, *more = signals
     commands, rates = more[:motors], more[motors : motors + len(RATE_AXES)]
     apart = np.maximum.reduce(commands) - np.minimum.reduce(commands)
     roll, pitch, yaw = rates
-    mean = np.asarray(sum(commands) / motors)  # added one after the other, however many rows there are
+    # added one after the other, so that the sum does not depend on the number of rows
+    mean = np.asarray(sum(commands) / motors)
     return np.sqrt(x * x + y * y + z * z), (mean, apart, np.sqrt(roll * roll + pitch * pitch + yaw * yaw))
 
 
@@ -174,11 +177,12 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
         expectations,
         times,
         B=np.eye(2, 1),  # no clip is ever expected
-        alarms_per_hour=FALSE_ALARMS_PER_HOUR,  # of clips there are none in healthy flight
+        alarms_per_hour=FALSE_ALARMS_PER_HOUR,  # healthy flights have no clips
         design=design_convex,
     )
     alarm, clipping = fitted.alarms
-    # A slow mean asks for half the size, which of a logarithm is a factor of 1.7: a storm shakes a vehicle as much.
+    # A slow mean would raise from half the size, which for a logarithm is a factor of 1.7: a storm shakes a vehicle as
+    # much.
     alarm = replace(alarm, rule=replace(alarm.rule, slow=max(alarm.rule.slow, alarm.rule.threshold)))
     return replace(
         fitted,
@@ -192,7 +196,7 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
 
 
 def _learned(raw: Sequence[Flight], motors: int, signal_hz: float, rate_hz: float) -> tuple[dict[str, float], float]:
-    """Return the transform's parameters, and the standard deviation of the logarithm that is left."""
+    """Return the transform's parameters, and the remaining standard deviation of the logarithm."""
     rows = []
     for flight in raw:
         level, causes = explained(flight.samples.u.T, motors)
@@ -206,7 +210,7 @@ def _learned(raw: Sequence[Flight], motors: int, signal_hz: float, rate_hz: floa
         raise ModelError("the vehicle reports no vibration: each level is zero")
     measured = np.log(np.maximum(values[:, 3], _LEAST_LEVEL))
     X = np.column_stack([np.ones(len(values)), values[:, :3]])
-    # levels of a second are alike; what flights do not show is expected to be nothing
+    # levels within a second are correlated; terms that the flights do not show are expected to be zero
     prior = np.diag([0.0, 1.0, 1.0, 1.0]) * max(float(measured.std()), _LEAST_LEFT) * math.sqrt(rate_hz) / _WIDTH
     c = np.linalg.lstsq(np.vstack([X, prior]), np.append(measured, np.zeros(4)), rcond=None)[0]
     left = max(float((measured - X @ c).std()), _LEAST_LEFT)

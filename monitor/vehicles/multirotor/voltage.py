@@ -22,20 +22,21 @@ from monitor.sampling.gate import GateRule
 from monitor.sampling.supply import BATTERY_MESSAGE, SupplyRule
 
 _GRID_HZ, _BLOCK = 1.0, 10
-"""Means over ten seconds: manoeuvres and gusts are shorter."""
+"""Length of the means, in samples of the grid of 1 Hz: ten seconds are longer than manoeuvres and gusts."""
 _SURE = 5.0
-"""Standard errors. Chosen: modes and wind change thrust in minutes, too, and errors of blocks are not quite
-independent."""
+"""Standard errors from which a share is determined. Chosen: modes and wind change thrust in minutes, too, and errors of
+blocks are not quite independent."""
 _LEAST, _MOST = 0.5, 1.5
-"""Shares that are believed. Without a governor it is one, with one nothing; what is far from both has another cause."""
+"""Range of shares that are believed. The share is one without a governor, and zero with one; a share far from both has
+another cause."""
 _ALIKE = 3.0
-"""Standard errors within which a share is one."""
+"""Standard errors within which a share counts as one."""
 _LEAST_RANGE = 0.02
-"""Share by which voltages have to differ. Chosen: less changes no size of a fault by more than flights scatter."""
+"""Least relative range of voltages. Chosen: a smaller range changes no size of a fault by more than flights scatter."""
 
 
 def fit_supply(request: FitRequest, gate: GateRule, commands: Sequence[Channel]) -> SupplyRule | None:
-    """Return how commands act with the battery's voltage; None where the flights do not tell."""
+    """Return how commands act with the battery's voltage; None if the flights do not determine it."""
     if not all(survey.rate_hz.get(BATTERY_MESSAGE, 0.0) > 0.0 for survey in request.surveys):
         return None
     volts = Channel("volts", BATTERY_MESSAGE, ("voltage_battery",), scale=0.001, interpolation="previous")
@@ -62,5 +63,5 @@ def fit_supply(request: FitRequest, gate: GateRule, commands: Sequence[Channel])
     if not (_LEAST <= share <= _MOST and share > _SURE * error):
         return None
     if abs(share - 1.0) < _ALIKE * error:
-        share = 1.0  # that of a controller without a governor, which flights tell less sharply
+        share = 1.0  # the share without a governor, which flights determine less accurately
     return SupplyRule(float(f"{level.mean():.4g}"), float(f"{share:.3g}"))
