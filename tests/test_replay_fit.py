@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from conftest import plain_fits
 
 import fauio
-from adapters.logs.recordings import packed, read_recording
+from adapters.logs.recordings import packed, read_batches, read_recording
 from monitor.profile import read_profile
 from monitor.vehicles.kinds import fit_messages
 from replay.fit import fit_profile, name_by_folder, replace_kept
@@ -58,6 +59,18 @@ def test_where_nothing_tells_what_the_motors_do_the_sensors_are_watched(
     assert [one.name for one in read_profile(tmp_path / "quad").observers] == ["inertial"]
     (line,) = (line for line in report.text() if line.startswith("not fitted: "))
     assert line.startswith("not fitted: each motor, three gyros: which way its 4 motors turn the vehicle is not known")
+
+
+def test_where_no_surface_can_be_learned_the_sensors_are_watched(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gains.identification.axes._EXCITED_T", 1e9)
+    log = partial(read_batches, data / "plane_healthy.tlog.xz", fit_messages())
+    with plain_fits():
+        report = fit_profile("plane", [log], tmp_path / "plane", "plane")
+    assert [one.name for one in read_profile(tmp_path / "plane").observers] == ["inertial"]
+    (line,) = (line for line in report.text() if line.startswith("not fitted: "))
+    assert line.startswith("not fitted: aileron, elevator, rudder, throttle, airspeed: no actuator can be learned: ")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adapters.errors import ModelError
+from adapters.errors import UntoldError
 from gains.identification.regression import AxisFit, AxisModel, fit_axis
 from gains.identification.segment import Segment
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
@@ -122,13 +122,15 @@ def fit_axes(
     Raises
     ------
     ModelError
-        Too little of it, or no actuator whose effect could be learned; the message says what to do for each.
+        Too little of it.
+    UntoldError
+        No actuator whose effect could be learned; the message says what to do for each.
     """
     outputs = tuple(model.output for model in models)
     axes = tuple(fit_axis(segments, rate_hz, inputs, outputs, model) for model in models)
     excitation = tuple(_excitation(axis, manoeuvres[axis.model.actuator]) for axis in axes)
     if not any(verdict.excited for verdict in excitation):
-        raise ModelError("no actuator can be learned: " + "; ".join(verdict.advice for verdict in excitation))
+        raise UntoldError("no actuator can be learned: " + "; ".join(verdict.advice for verdict in excitation))
     return AxesFit(rate_hz, tuple(inputs), axes, excitation, curves or {})
 
 

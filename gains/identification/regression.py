@@ -18,7 +18,7 @@ from itertools import product
 
 import numpy as np
 
-from adapters.errors import ModelError
+from adapters.errors import ModelError, UntoldError
 from gains.identification.segment import Segment
 from gains.plants.plant import FloatArray
 
@@ -110,7 +110,9 @@ def fit_axis(
     Raises
     ------
     ModelError
-        Less than 20 s of samples, or no stable model follows them.
+        Less than 20 s of samples.
+    UntoldError
+        No stable model follows them.
     """
     settle = round(_SETTLE_S * rate_hz)
     usable = [segment for segment in segments if len(segment.u) > 2 * settle]
@@ -135,7 +137,7 @@ def fit_axis(
     trials = sorted((*data.trial(*timing), *timing) for timing in _timings(rate_hz))
     misfit, _, lag_s, delay_s = trials[0]
     if not np.isfinite(misfit):
-        raise ModelError(
+        raise UntoldError(
             f"no stable model follows {model.output.replace('_', ' ')} from {model.actuator}: check which servo output "
             f"drives the {model.actuator}"
         )
