@@ -1,1 +1,1 @@
-"""Plants: their TOML, nonlinearities, slope bounds, sampling."""
+"""Plants: their model files, nonlinearities, slope bounds and sampling."""

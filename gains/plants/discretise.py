@@ -1,19 +1,19 @@
-"""Sampling of a continuous plant: exact but for its nonlinearities, which are looked at in the middle of a sample.
+"""Sampling of a continuous plant: exact except for its nonlinearities, which are evaluated in the middle of a sample.
 
 Over a period h with v, f_a and w held,
 
     x+ = Phi(h) x + Gamma(h) [v; c; f_a; w] + integral over s of Phi(h - s) G g(nu(s))
 
-A nonlinearity held at nu(0) makes an error of the first order in h. Here g is held at what the linear part predicts
-for the middle, nu = H (Phi(h/2) x + Gamma(h/2) [v; c; f_a]): of the second order. Measured on the arm with
-u = sin 0.3 t and no fault, by Runge-Kutta: the largest error of f_a^ is .012, .0063, .0012, .0003 at 10, 20, 50, 100 Hz
-in place of .065, .107, .051, .026.
+A nonlinearity held at nu(0) causes an error of the first order in h. Here g is held at the value that the linear part
+predicts for the middle, nu = H (Phi(h/2) x + Gamma(h/2) [v; c; f_a]): its error is of the second order. Measured on the
+arm with u = sin 0.3 t and no fault, by Runge-Kutta: the largest error of f_a^ is .012, .0063, .0012, .0003 at 10, 20,
+50, 100 Hz instead of .065, .107, .051, .026.
 
-What is left is r = integral of Phi(h - s) G_i delta_i(s) with |delta_i(s)| <= d_i, d_i the sum over arguments j of
-max |slope_ij| |nu_j(s) - nu_j|. By Cauchy and Schwarz r lies in the ellipsoid d_i sqrt(h W) w with |w| <= 1, W the
-integral of Phi(s) G_i G_i^T Phi(s)^T: a disturbance for each direction, together as large as d_i. Where the model says
-how fast arguments move (``rate``: twice as far as they stray from the predicted middle of a sample, by its period),
-these disturbances are part of the sampled plant, and what is proven of it holds for the true one.
+The remaining error is r = integral of Phi(h - s) G_i delta_i(s) with |delta_i(s)| <= d_i, d_i the sum over arguments j
+of max |slope_ij| |nu_j(s) - nu_j|. By Cauchy and Schwarz r lies in the ellipsoid d_i sqrt(h W) w with |w| <= 1, W the
+integral of Phi(s) G_i G_i^T Phi(s)^T: a disturbance for each direction, together as large as d_i. If the model states
+how fast arguments move (``rate``: twice their largest distance from the predicted middle of a sample, divided by its
+period), these disturbances are part of the sampled plant, and proofs for it hold for the continuous plant.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ from adapters.errors import ModelError
 from gains.plants.plant import Disturbance, FloatArray, Plant
 
 _HIDDEN = 1e-12
-"""Of what a nonlinearity drives over a sample, in each direction: above rounding of the integral, below what counts."""
+"""Share added to the effect of a nonlinearity over a sample in each direction: above rounding of the integral, but
+negligible."""
 
 
 def discretise(plant: Plant, rate_hz: float) -> Plant:
-    """Return a continuous plant sampled at ``rate_hz`` with a zero-order hold; a discrete one of that rate as it is.
+    """Return a continuous plant sampled at ``rate_hz`` with a zero-order hold; a discrete one of that rate unchanged.
 
-    The matrix exponential of [[A, X], [0, 0]] / rate_hz, X = [B, G, E_f, E_1, c], is exact for signals held
-    over the sample; nonlinearities as in the module's docstring. The sensor equations stay.
+    The matrix exponential of [[A, X], [0, 0]] / rate_hz, X = [B, G, E_f, E_1, c], is exact for signals held over the
+    sample; nonlinearities are treated as in the module's docstring. The sensor equations are unchanged.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def _transition(plant: Plant, held: FloatArray, period: float) -> FloatArray:
 
 
 def _unheld(plant: Plant, period: float) -> Iterator[Disturbance]:
-    """Yield what the sampled nonlinearities leave out, where it is said how fast their arguments move."""
+    """Yield the errors of sampled nonlinearities as disturbances, if the model states how fast their arguments move."""
     from scipy.linalg import expm
 
     n = len(plant.states)
@@ -115,7 +116,7 @@ def _unheld(plant: Plant, period: float) -> Iterator[Disturbance]:
         reached = size > 0.0
         scaled = 0.5 * (W + W.T)[np.ix_(reached, reached)] / size[reached] / size[reached, None]
         values, vectors = np.linalg.eigh(scaled)
-        # no direction is left out, for rounding hides the smallest
+        # every direction is kept, because rounding hides the smallest
         columns = size[reached, None] * vectors * np.sqrt(period * (np.maximum(values, 0.0) + _HIDDEN))
         for k, column in enumerate(columns.T):
             yield Disturbance(f"unheld{i + 1}_{k + 1}", np.eye(n)[:, reached] @ column, deviation)

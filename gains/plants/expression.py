@@ -16,10 +16,10 @@ from typing import Any
 from adapters.errors import ModelError
 
 _LONGEST = 300
-"""Letters. Physics needs tens; the parser of Python is bounded before it begins."""
+"""Largest number of letters. Physics needs tens; this bounds the work of Python's parser."""
 _CHARACTERS = re.compile(r"[A-Za-z0-9_+\-*/(). ]*")
 _DEEPEST = 40
-"""Nesting. The recursions over trees stay far from the limit of the interpreter."""
+"""Deepest nesting. The recursions over trees stay far from the interpreter's limit."""
 _OPERATORS: dict[type[ast.operator], str] = {
     ast.Add: "+",
     ast.Sub: "-",
@@ -83,12 +83,12 @@ _SCALAR_OPERATORS = {"+": add, "-": sub, "*": mul, "/": truediv, "**": math.pow}
 def parse_expression(text: str, arguments: Sequence[str]) -> Node:
     """Return the tree of an expression.
 
-    It is made of numbers, the names of its arguments, ``pi``, ``+ - * / **``, brackets and :data:`FUNCTIONS`.
+    It consists of numbers, the names of its arguments, ``pi``, ``+ - * / **``, brackets and :data:`FUNCTIONS`.
 
     Raises
     ------
     ModelError
-        Anything else stands in it; the message names what.
+        It contains anything else; the message names that.
     """
     for name in arguments:
         if not name.isidentifier() or name in FUNCTIONS or name in _CONSTANTS:
@@ -105,7 +105,7 @@ def parse_expression(text: str, arguments: Sequence[str]) -> Node:
 
 
 def compile_expression(text: str, arguments: Sequence[str]) -> Callable[..., float]:
-    """Return ``g(*nu)`` for scalars: NaN where the expression has no value, never an exception.
+    """Return ``g(*nu)`` for scalars: NaN if the expression has no value, never an exception.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def compile_expression(text: str, arguments: Sequence[str]) -> Callable[..., flo
 
 
 def compile_node(node: Node) -> Callable[..., float]:
-    """Return the tree as a function of scalars: NaN where it has no value, never an exception."""
+    """Return the tree as a function of scalars: NaN if it has no value, never an exception."""
     scalar = closure(node, _SCALAR_FUNCTIONS, _SCALAR_OPERATORS)
 
     def function(*values: float) -> float:
@@ -131,7 +131,7 @@ def compile_node(node: Node) -> Callable[..., float]:
 def closure(
     node: Node, functions: Mapping[str, Callable[[Any], Any]], operators: Mapping[str, Callable[[Any, Any], Any]]
 ) -> Callable[[Sequence[Any]], Any]:
-    """Return the tree as a function of its arguments, numbers or arrays as the functions and operators take them."""
+    """Return the tree as a function of its arguments, numbers or arrays as the functions and operators accept."""
     if isinstance(node, Number):
         value = node.value
         return lambda values: value
@@ -169,7 +169,7 @@ def derivative(node: Node, index: int) -> Node:
 
 
 def binary(operator: str, left: Node, right: Node) -> Node:
-    """Return ``left operator right`` with constants folded: constant slopes are seen to be constant."""
+    """Return ``left operator right`` with constants folded, so that constant slopes are recognised."""
     if isinstance(left, Number) and isinstance(right, Number):
         folded = compile_node(Binary(operator, left, right))()
         if math.isfinite(folded):
@@ -205,7 +205,7 @@ def argument_indices(node: Node) -> frozenset[int]:
 
 
 def is_smooth(node: Node) -> bool:
-    """Return whether the tree has a second derivative everywhere it has a value."""
+    """Return whether the tree has a second derivative wherever it has a value."""
     if isinstance(node, Apply):
         return node.function not in ("abs", "sign") and is_smooth(node.operand)
     return not isinstance(node, Binary) or (is_smooth(node.left) and is_smooth(node.right))

@@ -10,7 +10,7 @@
     [[noise]]             name, into (outputs), scale
     [error]               default, and by state
 
-A vector over names is a list, a table { name = number } or one name, which stands for 1 there.
+A vector over names is a list, a table { name = number } or one name, whose entry then is 1.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ _KINDS: dict[str, FaultKind] = {"actuator": "actuator", "sensor": "sensor"}
 
 
 def load_model(name_or_path: str | Path) -> Plant:
-    """Return a built-in model by name, else the model in the file of that path.
+    """Return the built-in model of that name, or the model in the file of that path.
 
     Raises
     ------
     ModelError
-        It is neither, or the file is no valid model.
+        There is neither, or the file is no valid model.
     """
     if str(name_or_path) in BUILTIN_MODELS:
         return builtin_model(str(name_or_path))
@@ -138,7 +138,7 @@ def model_hash(plant: Plant) -> str:
 
 
 def _stated(*arrays: FloatArray) -> list[Any]:
-    """Return the arrays that say something; those that do not leave the hash of a model what it always was."""
+    """Return the arrays if one of them is not zero: empty ones leave the hashes of earlier models unchanged."""
     return [array.tolist() for array in arrays] if any(array.any() for array in arrays) else []
 
 
@@ -152,7 +152,7 @@ def read_plant(file: TomlFile) -> Plant:
     """
     root = file.root
     states, inputs, outputs = root.texts("states"), root.texts("inputs"), root.texts("outputs")
-    # without names nothing below can be read
+    # nothing below can be read without names
     file.check()
     name, description = root.text("name", check=one_line), root.text("description", "", one_line)
     domain = _DOMAINS[root.choice("domain", list(_DOMAINS), "continuous")]
@@ -202,7 +202,7 @@ def read_plant(file: TomlFile) -> Plant:
 def _nonlinearity(
     table: Table, states: Sequence[str], inputs: Sequence[str], faults: Sequence[str]
 ) -> tuple[Nonlinearity, FloatArray, FloatArray]:
-    """Return g_i, its column of G and how faults move its arguments; slopes that are not declared are derived."""
+    """Return g_i, its column of G and how faults move its arguments; undeclared slopes are derived."""
     expression = table.text("expression")
     into = read_vector(table, "into", states)
     if not into.any() and table.good("into"):
@@ -257,7 +257,7 @@ def _errors(table: Table, states: Sequence[str]) -> FloatArray:
 
 
 def model_document(plant: Plant) -> dict[str, Any]:
-    """Return the tables of a plant's model file, leaving out what is default."""
+    """Return the tables of a plant's model file without default values."""
     document: dict[str, Any] = {"name": plant.name}
     if plant.description:
         document["description"] = plant.description

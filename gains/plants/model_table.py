@@ -1,4 +1,4 @@
-"""Vectors and matrices over names, read from the tables of a model file; mistakes are recorded, zeros stand in."""
+"""Vectors and matrices over names, read from the tables of a model file; zeros replace mistakes, which are recorded."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from gains.plants.slopes import Interval
 
 
 def one_line(text: str) -> None:
-    """Refuse a text that cannot be shown on one line."""
+    """Refuse a text that is not one printable line."""
     if not text.isprintable():
         raise ValueError("is not one line of text in quotes")
 
 
 def read_vector(table: Table, key: str, names: Sequence[str]) -> FloatArray:
-    """Return a vector (len(names),) from a list, a table by name or one name, which stands for 1 there."""
+    """Return a vector (len(names),) from a list, a table by name, or one name, whose entry then is 1."""
     return _vector(table, (key,), _present(table, key, {}), names)
 
 
@@ -48,7 +48,7 @@ def read_matrix(table: Table, key: str, rows: Sequence[str], columns: Sequence[s
 
 
 def read_rows(table: Table, key: str, columns: Sequence[str]) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the names, which the file chooses, and the rows (names, len(columns)) of a table of rows by name."""
+    """Return the names in the file and the rows (names, len(columns)) of a table of rows by name."""
     value = _present(table, key, {})
     if not isinstance(value, Mapping) or not value:
         table.mistake(key, "is not a table of rows by name: { v = { state = 1.0 } }")
@@ -67,7 +67,7 @@ def read_by_name(table: Table, key: str, names: Sequence[str], default: Sequence
 
 
 def read_intervals(table: Table, key: str, arguments: Sequence[str], default: Interval | None) -> list[Interval]:
-    """Return [low, high] for each argument from a table by argument; without a default all must be there."""
+    """Return [low, high] for each argument from a table by argument; without a default all have to be there."""
     value = _present(table, key, {})
     if not isinstance(value, Mapping):
         table.mistake(key, "is not a table of [low, high] by argument")
@@ -91,7 +91,7 @@ def _interval(table: Table, at: KeyPath, pair: Any) -> Interval:
 
 
 def _bound(value: float) -> float:
-    """Return a bound as a float; it may be infinite, and a whole number too large for a float is."""
+    """Return a bound as a float; it may be infinite, and becomes so if it is a whole number too large for a float."""
     try:
         return float(value)
     except OverflowError:
@@ -123,7 +123,7 @@ def _vector(table: Table, at: KeyPath, value: Any, names: Sequence[str]) -> Floa
 def _index(table: Table, at: KeyPath, name: str, names: Sequence[str]) -> int | None:
     if name in names:
         return names.index(name)
-    # a state that is missing above would be named again by each matrix
+    # each matrix would report again a state that is missing above
     table.file.mistake((*table.path, *at), f": there is no '{name}'; there are {', '.join(names) or 'none'}", once=True)
     return None
 

@@ -1,4 +1,4 @@
-"""The plant an observer is designed for: matrices, names, faults, disturbances and their scales.
+"""The plant for which an observer is designed: matrices, names, faults, disturbances and their scales.
 
 In continuous time (``domain == "continuous"``; x' becomes x+ in a discrete model of fixed rate):
 
@@ -7,7 +7,7 @@ In continuous time (``domain == "continuous"``; x' becomes x+ in a discrete mode
     v_i = sum_d taps[d] curve_i(u_i(k - d)),   curve_i(u) = c1 u + c2 u^2 + ...      known input nonlinearity
     g_i = g_i(H_i x),   a_ij <= dg_i/dnu_j <= b_ij                                    G is (n, m)
 
-A sampled plant looks at its nonlinearities in the middle of the sample that begins: nu = H x + H_v v + h + H_f f_a
+A sampled plant evaluates its nonlinearities in the middle of the sample that begins: nu = H x + H_v v + h + H_f f_a
 (:mod:`gains.plants.discretise`).
 """
 
@@ -30,13 +30,12 @@ FaultKind = Literal["actuator", "sensor"]
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 _RANK_TOLERANCE = 1e-9
-"""Smallest singular value of columns of length one. Measured on the plants of the tests: dependent ones show 3e-16 at
-most, independent ones 5e-3 and more.
-"""
+"""Smallest singular value of independent columns of length one. Measured on the plants of the tests: dependent ones
+have 3e-16 at most, independent ones 5e-3 and more."""
 
 
 class PlantError(ModelError):
-    """A plant that cannot be; ``path`` is the key that it would have in a model file."""
+    """An impossible plant; ``path`` is the key of the mistake in a model file."""
 
     def __init__(self, message: str, *path: str | int) -> None:
         super().__init__(message)
@@ -55,14 +54,14 @@ class Fault:
     kind: FaultKind  # whether it enters the states (a column of E_f) or the outputs (a column of D_f)
     # that column: (n,) or (p,). Empty with ``input``: the input's column of B
     column: FloatArray = field(default_factory=_nothing)
-    # how fast an actuator fault may move, units per second: the bandwidth knob. A sensor fault needs no such assumption
-    # and ignores it
+    # how fast an actuator fault may move, units per second: it sets the bandwidth. A sensor fault needs no such
+    # assumption and ignores it
     rate: float = 1.0
     error: float = 1.0  # error of the estimate that matters, in ``unit``
     unit: str = ""  # unit of the estimate, for people
     # the input whose effect v the fault changes: estimate over command is then a relative loss
     input: str | None = None
-    # how an actuator fault moves the arguments of all nonlinearities (arguments,); empty stands for zeros
+    # how an actuator fault moves the arguments of all nonlinearities (arguments,); empty: zeros
     ahead: FloatArray = field(default_factory=_nothing)
 
 
@@ -96,10 +95,10 @@ class Nonlinearity:
     rows: FloatArray  # H_i (number of arguments, n): nu = rows x
     slopes: FloatArray  # bounds a_ij <= dg_i/dnu_j <= b_ij (number of arguments, 2)
     ranges: FloatArray  # box of the arguments on which the bounds hold (number of arguments, 2)
-    # how fast each argument moves at most, per second (number of arguments,); empty where that is not said. What a
-    # sample leaves out of the nonlinearity is then one more disturbance (:mod:`gains.plants.discretise`)
+    # how fast each argument moves at most, per second (number of arguments,); empty if not stated. With them the error
+    # of a sampled nonlinearity is one more disturbance (:mod:`gains.plants.discretise`)
     rates: FloatArray = field(default_factory=_nothing)
-    # [H_v, h] (number of arguments, s + 1): what inputs and time add to the arguments; empty stands for zeros
+    # [H_v, h] (number of arguments, s + 1): what inputs and a constant add to the arguments; empty: zeros
     ahead: FloatArray = field(default_factory=_nothing)
 
 
@@ -110,7 +109,7 @@ class Plant:
     Raises
     ------
     ModelError
-        Shapes, names or numbers that cannot be: the message names the key.
+        Shapes, names or numbers are impossible: the message names the key.
     """
 
     name: str  # the model's name
@@ -122,20 +121,20 @@ class Plant:
     A: FloatArray
     B: FloatArray
     C: FloatArray
-    domain: Domain = "continuous"  # whether x' or x+ stands on the left
+    domain: Domain = "continuous"  # whether the equations give x' or x+
     rate_hz: float | None = None  # samples per second of a discrete model, None in continuous time
-    c: FloatArray = field(default_factory=_nothing)  # constant offset (n,); empty stands for zero
-    G: FloatArray = field(default_factory=_nothing)  # (n, m), a column for each nonlinearity; empty with none
+    c: FloatArray = field(default_factory=_nothing)  # constant offset (n,); empty: zeros
+    G: FloatArray = field(default_factory=_nothing)  # (n, m), a column for each nonlinearity; empty without any
     nonlinearities: tuple[Nonlinearity, ...] = ()  # the m scalar nonlinearities
     faults: tuple[Fault, ...] = ()  # actuator and sensor faults in any order
     disturbances: tuple[Disturbance, ...] = ()  # w_1
     noises: tuple[Noise, ...] = ()  # w_2
-    # error of each state estimate that matters (n,); empty stands for ones
+    # error of each state estimate that matters (n,); empty: ones
     state_errors: FloatArray = field(default_factory=_nothing)
     taps: tuple[float, ...] = (1.0,)  # delays of the inputs, newest first, sum 1; more than one in discrete models only
-    # coefficients c1, c2, ... of each input's static curve; empty stands for v = u
+    # coefficients c1, c2, ... of each input's static curve; empty: v = u
     curves: tuple[tuple[float, ...], ...] = ()
-    description: str = ""  # a sentence for people; no part of the model's hash
+    description: str = ""  # a sentence for people; it does not enter the model's hash
 
     def __post_init__(self) -> None:
         n, s, p, m = len(self.states), len(self.inputs), len(self.outputs), len(self.nonlinearities)
@@ -216,14 +215,14 @@ class Plant:
 
     @property
     def H_known(self) -> FloatArray:
-        """What is known besides x of those arguments: [H_v, h] (arguments, s + 1)."""
+        """Known part of those arguments besides x: [H_v, h] (arguments, s + 1)."""
         width = len(self.inputs) + 1
         rows = (g.ahead if g.ahead.size else np.zeros((len(g.arguments), width)) for g in self.nonlinearities)
         return np.vstack([np.zeros((0, width)), *rows])
 
     @property
     def H_f(self) -> FloatArray:
-        """How actuator faults move those arguments (arguments, a1)."""
+        """Effect of actuator faults on those arguments (arguments, a1)."""
         none = np.zeros(len(self.H))
         return _stacked((fault.ahead if fault.ahead.size else none for fault in self.actuator_faults), len(none))
 
@@ -248,7 +247,7 @@ def checked_array(value: ArrayLike, shape: tuple[int, ...], key: str, *path: str
     Raises
     ------
     PlantError
-        It is no array of numbers, has another shape or holds NaN or infinity.
+        It is no array of numbers, has another shape or contains NaN or infinity.
     """
     at = path or (key,)
     try:
@@ -391,9 +390,9 @@ def _checked_signal(signal: Signal, size: int, key: str, index: int) -> Signal:
 
 
 def check_independence(plant: Plant) -> None:
-    """Refuse faults whose directions depend on each other: they could never be told apart.
+    """Refuse faults whose directions depend on each other: no observer could distinguish them.
 
-    A plant may hold such faults, so that it can be explained; a design for all of them is impossible.
+    A plant may have such faults, so that a check can explain them; a design for all of them is impossible.
 
     Raises
     ------
@@ -414,7 +413,7 @@ def check_independence(plant: Plant) -> None:
 
 
 def first_dependent(columns: FloatArray) -> int | None:
-    """Return the first column that is a combination of those before it, whatever its units; rows are taken as one."""
+    """Return the first column that depends on those before it, for columns in any units; rows are taken as they are."""
     norms = np.linalg.norm(columns, axis=0)
     for i in range(columns.shape[1]):
         unit = columns[:, : i + 1] / norms[: i + 1]

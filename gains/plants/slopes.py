@@ -1,8 +1,8 @@
 """Slope bounds of an expression over a box: interval arithmetic with branch and bound.
 
-An upper bound of a partial derivative is found by splitting the box where its enclosure is largest, until the
-enclosure meets the largest value seen at a point. What is returned always bounds the slope (up to rounding,
-which lies far below the margin of a certificate); the split only makes it tight.
+An upper bound of a partial derivative is found by splitting the box where its enclosure is largest, until the enclosure
+meets the largest value seen at a point. The result always bounds the slope (up to rounding, which is far below the
+margin of a certificate); the splits only make it tight.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ Interval = tuple[float, float]
 Box = tuple[Interval, ...]
 
 _BUDGET = 3000
-"""Boxes that are split to prove one bound, within the bound on nodes below."""
-# Nodes evaluated in bounding one slope: a model from elsewhere shall not keep its reader waiting.
+"""Largest number of boxes that are split to prove one bound, within the bound on nodes below."""
+# Largest number of nodes evaluated to bound one slope: a model of unknown origin must not keep its reader waiting.
 _WORK = 400_000
 _TIGHTNESS = 1e-5
 _DECLARED_TOLERANCE = 1e-6
@@ -46,7 +46,7 @@ class _UndefinedError(ArithmeticError):
 
 @dataclass(frozen=True, slots=True)
 class _Supremum:
-    """Outer bound of a maximum, the largest value seen and where."""
+    """Upper bound of a maximum, the largest value found, and its point."""
 
     bound: float
     seen: float
@@ -143,8 +143,8 @@ def enclosure(node: Node, box: Box) -> Interval:
 def _supremum(node: Node, box: Box, goal: float | None = None) -> _Supremum:
     """Bound the maximum of the tree on the box by splitting it.
 
-    Without a goal the bound is made tight; with one the search ends as soon as the bound is at or below the
-    goal or a value above it was seen.
+    Without a goal the bound is made tight; with one the search ends as soon as the bound is at or below the goal or a
+    value above the goal was found.
     """
     function = compile_node(node)
     split = sorted(argument_indices(node))
@@ -172,7 +172,7 @@ def _supremum(node: Node, box: Box, goal: float | None = None) -> _Supremum:
             bound = math.inf
         return -bound, next(order), part
 
-    # Of the arguments that the tree does not depend on, any value is as good as another.
+    # Any value will do for arguments on which the tree does not depend.
     work = 3 ** len(split) * _size(node) + sum(map(_size, gradient.values()))
     if work > _WORK:
         raise ModelError("too much to bound its slope: use fewer arguments or a simpler expression")
@@ -255,7 +255,7 @@ def _box_text(arguments: Sequence[str], box: Box) -> str:
 
 
 def _tidy(low: float, high: float) -> Interval:
-    """Return an enclosure without NaN whose bounds lie on their own side of infinity."""
+    """Return an enclosure without NaN, with a lower bound below infinity and an upper bound above minus infinity."""
     if math.isnan(low) or math.isnan(high):
         return -math.inf, math.inf
     return min(low, _LARGEST), max(high, -_LARGEST)
@@ -283,7 +283,7 @@ def _power(low: float, high: float, exponent: float) -> Interval:
 
 
 def _monotone(function: Callable[[float], float], x: float) -> float:
-    """Return the value at an end of an interval, infinity where it overflows."""
+    """Return the value at an end of an interval, infinity if it overflows."""
     try:
         return function(x)
     except OverflowError:

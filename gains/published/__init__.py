@@ -1,1 +1,1 @@
-"""What others published: the paper's theorems and earlier observers, to compare with."""
+"""Published designs for comparison: the paper's theorems and earlier observers."""

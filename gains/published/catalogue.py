@@ -1,4 +1,4 @@
-"""The observers to compare with, by name, and what each is worth: reconstructions and a Kalman filter."""
+"""The observers for comparison, by name, and their figures: reconstructions and a Kalman filter."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ _DESIGNS: dict[str, Callable[[Plant], ContinuousObserver]] = {
 
 
 def design_baseline(plant: Plant, method: str, rate_hz: float | None) -> tuple[Gains | None, dict[str, Any]]:
-    """Design a baseline by its name; return compiled gains, where there is a rate, and the report of the command line.
+    """Design a baseline by its name; return compiled gains, if there is a rate, and the report of the command line.
 
     The reconstructions need a continuous model; the filter takes a discrete model's own rate. The report's certificate
-    holds where the true norm of the very gains stays within the bound that their inequality reports; methods that
-    report none have none to hold.
+    holds if the true norm of these gains is within the bound that their inequality reports; it does not hold for
+    methods without a bound.
 
     Raises
     ------
     ModelError
-        The model is discrete, where the method knows continuous ones only, or cannot be sampled.
+        The model is discrete and the method is for continuous models only, or the model cannot be sampled.
     InfeasibleError
-        The method does not know such faults, or its inequality has no solution; the message says why.
+        The method cannot estimate such faults, or its inequality has no solution; the message says why.
     InaccurateError
         The solver stopped short, or the norm of the gains does not confirm the bound.
     """

@@ -1,6 +1,6 @@
 """Baseline: nonlinear unknown-input observer with a Lipschitz bound (Chen and Saif 2006), a RECONSTRUCTION.
 
-The original text (Chen, Saif, American Control Conference 2006) could not be had. The form is rebuilt from the
+The original text (Chen, Saif, American Control Conference 2006) was not available. The form is rebuilt from the
 structure that the FAUIO paper attributes to it (its inequality (14)) and from the general literature; the paper only
 says that it is infeasible on the arm.
 
@@ -12,9 +12,10 @@ x -> G g(H x), the inequality
     [ *                       -I                                   ]  < 0     Psi = P (I + U Cb) Ad + Yb V Cb Ad - Kb Cb
 
 gives z' = N z + L y + M (B v + c + G g(x^)), zeta^ = z - E_o y with E_o = U + Y V, M = I + E_o Cb, N = M Ad - K Cb and
-L = K (I + Cb E_o) - M Ad E_o. It needs rank(Cb Dd) = rank(Dd), and knows neither disturbance nor noise: no bound mu.
+L = K (I + Cb E_o) - M Ad E_o. It needs rank(Cb Dd) = rank(Dd), and has neither disturbance nor noise, hence no bound
+mu.
 
-The form estimates no f_a. What is added here is f_a solved from the output equation through a first-order filter:
+The form estimates no f_a. Added here: f_a is solved from the output equation through a first-order filter,
 fa^' = ((Cb Dd)_a^+ (y' - C (A x^ + B v + c + G g)) - fa^) / tau, integrated once so that y is never differentiated.
 """
 
@@ -31,9 +32,9 @@ from gains.synthesis.continuous_observer import ContinuousObserver, check_contin
 from gains.synthesis.solver import gain_energy
 
 _SMALLEST_CONSTANT = 1e-3
-"""Lipschitz constant, 1/s, below which a nonlinearity counts as this: the inequality divides by it."""
+"""Smallest Lipschitz constant, 1/s, that a nonlinearity gets: the inequality divides by it."""
 _MARGIN = 1e-6
-"""Stands for "< 0", which no solver can ask for: ten times what it leaves of a constraint."""
+"""Margin in place of "< 0", which no solver accepts as a constraint: ten times its tolerance."""
 
 
 _FILTER_S = 0.05
@@ -75,7 +76,7 @@ def design_chen2006(plant: Plant) -> ContinuousObserver:
     inequality = block_matrix([[Psi + Psi.T + gamma * np.eye(nz), math.sqrt(gamma) * PM], [-np.eye(nz)]])
     excess = cp.Variable()
     why = f"the Lipschitz constant {constant:.3g} of the nonlinearity is too large for it"
-    # the smallest excess always exists, so that an infeasible inequality is proved so and not given up on
+    # the smallest excess always exists, so that the solver proves an inequality infeasible instead of failing on it
     least = cp.Problem(cp.Minimize(excess), [inequality << excess * np.eye(2 * nz), P >> 0])
     seconds = solve_lmi(least, plant, "chen2006", why)
     if excess.value > -_MARGIN:

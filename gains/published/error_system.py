@@ -1,4 +1,4 @@
-"""The error system of any linear observer with scalar nonlinearities, found from plant and observer alone.
+"""The error system of any linear observer with scalar nonlinearities, derived from plant and observer alone.
 
 For the observer s' = A_o s + B_y y + M (B v + G g(H x^) + c), [x^; f_s^; fa^] = C_e s + D_e y the errors do not depend
 on x, u and constant faults exactly when X, Y_a and Y_s exist with
@@ -15,8 +15,8 @@ and [C_x, D_x] the rows of [C_e, D_e] for x^,
     e   = C_e xi - (C_e Y_w + D_e D) w          e = [x~; f_s~; fa~]
 
 Y_w is free: it moves the direct path of the noise into w'. The transfer from w is the same for every choice, the norm
-against w and w' taken apart is not: ``"zeta"`` frees [x~; f_s~] of it as the theory does, ``"all"`` all of e as the
-printed inequalities do. Y_s is zero where an observer needs no assumption about f_s.
+against w and w' as independent signals is not: ``"zeta"`` removes the direct path from [x~; f_s~] as the theory does,
+``"all"`` from all of e as the printed inequalities do. Y_s is zero if an observer needs no assumption about f_s.
 """
 
 from __future__ import annotations
@@ -37,9 +37,10 @@ NoisePath = Literal["zeta", "all"]
 Inputs = Literal["all", "disturbances"]
 
 _TOLERANCE = 1e-6
-"""Of the largest entry: what rounding leaves of matrix equations whose gains may reach 1e5."""
+"""Residual of a matrix equation that counts as rounding, as a share of its solution's largest entry: gains may reach
+1e5."""
 _CONSISTENCY = 1e-6
-"""Relative: what the solver may leave of its own bound."""
+"""Relative tolerance of a bound: the solver's own."""
 
 
 class StateSpace(NamedTuple):
@@ -53,10 +54,10 @@ class StateSpace(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ErrorNorm:
-    """H-infinity norm of the scaled error system: infinite where it is unstable.
+    """H-infinity norm of the scaled error system: infinite if it is unstable.
 
-    ``value`` is a gain that the system has, exact to nine digits, at the worst slope vertex, ``slopes``, and at a
-    frequency of ``hz``, infinite where the direct path is the largest; ``pole_max`` is the largest real part of a pole
+    ``value`` is a gain of the system, exact to nine digits, at the worst slope vertex, ``slopes``, and at the frequency
+    ``hz``, which is infinite if the direct path has the largest gain; ``pole_max`` is the largest real part of a pole
     over the vertices, 1/s.
     """
 
@@ -66,7 +67,7 @@ class ErrorNorm:
     pole_max: float
 
     def confirms(self, sqrt_mu: float) -> bool:
-        """Return whether a bound stands: stable, and the norm not above it."""
+        """Return whether a bound holds: the system is stable, and its norm not above the bound."""
         return self.pole_max < 0.0 and self.value <= sqrt_mu * (1.0 + _CONSISTENCY)
 
 
@@ -76,8 +77,8 @@ def published_error_system(
     """Return the scaled error system of an observer, of any order, at given slopes of all arguments (arguments,).
 
     Its inputs are [w; w'; fa'; fs'], each divided by its scale or rate, its outputs e = [x~; f_s~; fa~], each divided
-    by the error that matters. Columns of fs' are zero where an observer needs no assumption about f_s. ``noise_path``
-    says which errors are freed of the direct path of the noise.
+    by the error that matters. Columns of fs' are zero if an observer needs no assumption about f_s. ``noise_path``
+    names the errors from which the direct path of the noise is removed.
 
     Raises
     ------
@@ -104,7 +105,7 @@ def error_norm(
 ) -> ErrorNorm:
     """Return the norm of an observer's error over all slope vertices.
 
-    It is that against [w; w'; fa'], or against the ``"disturbances"`` [w; w'] alone with every fault constant.
+    The norm is against [w; w'; fa'], or with ``"disturbances"`` against [w; w'] alone, with every fault constant.
 
     Raises
     ------
@@ -149,7 +150,7 @@ def _coordinates(plant: Plant, observer: ContinuousObserver) -> tuple[FloatArray
 
 
 def _solved(plant: Plant, observer: ContinuousObserver, M: FloatArray, right: FloatArray, what: str) -> FloatArray:
-    """Return the solution of M X = right, rows scaled to one; refuse where there is none."""
+    """Return the solution of M X = right, rows scaled to one; raise an error if there is none."""
     size = np.linalg.norm(np.hstack([M, right]), axis=1, keepdims=True)
     size[size == 0.0] = 1.0
     solution, *_ = np.linalg.lstsq(M / size, right / size, rcond=None)

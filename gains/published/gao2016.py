@@ -1,6 +1,6 @@
 """Baseline: augmented-state unknown-input observer with a Lipschitz bound (Gao 2016), a RECONSTRUCTION.
 
-The original text (Gao, Liu, Chen, IEEE Transactions on Industrial Electronics 63(4), 2016) could not be had. The form
+The original text (Gao, Liu, Chen, IEEE Transactions on Industrial Electronics 63(4), 2016) was not available. The form
 is rebuilt from the structure that the FAUIO paper attributes to it and from the general literature; only the paper's
 quoted result (sqrt(mu) = 1.76 on the disturbed arm) is known.
 
@@ -35,10 +35,11 @@ from gains.synthesis.solver import gain_energy
 def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> ContinuousObserver:
     """Design the observer of a continuous model, confirmed by the norm of its gains against the disturbances.
 
-    ``sqrt_mu`` is that against [w; w'] for faults that do not accelerate: fa' and fs' are no disturbances in this form.
+    ``sqrt_mu`` is the bound against [w; w'] for faults that do not accelerate: fa' and fs' are no disturbances in this
+    form.
 
-    ``decouple`` takes the disturbances whose directions C keeps apart out by H; ``decay`` is alpha, 1/s: with 0 the
-    cheapest gains within the bound take hours.
+    ``decouple`` removes, by H, the disturbances whose directions are independent in the outputs; ``decay`` is alpha,
+    1/s: with 0 the errors of the cheapest gains within the bound take hours to decay.
 
     Errors are those of :func:`gains.published.catalogue.design_baseline`.
     """
@@ -108,7 +109,7 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
 
 
 def _decoupling(Bd: FloatArray, Cb: FloatArray) -> FloatArray:
-    """Return H with (I - H Cb) Bd = 0 for the columns of Bd that Cb keeps independent, taken in order."""
+    """Return H with (I - H Cb) Bd = 0 for those columns of Bd, in order, that are independent in the outputs."""
     kept: list[int] = []
     for column in range(Bd.shape[1]):
         seen = Cb @ Bd[:, [*kept, column]]

@@ -1,6 +1,6 @@
 """Baseline: fast adaptive unknown-input observer with a Lipschitz bound (Gao 2022), a RECONSTRUCTION.
 
-The original text could not be had. The form is rebuilt from the structure that the FAUIO paper attributes to it (its
+The original text was not available. The form is rebuilt from the structure that the FAUIO paper attributes to it (its
 inequalities (66), (67) and (69)) and from the general literature on fast adaptive fault estimation; only the paper's
 quoted result (sqrt(mu) = 1.736 on the disturbed arm) is known.
 
@@ -31,13 +31,13 @@ from gains.synthesis.continuous_observer import ContinuousObserver, check_contin
 from gains.synthesis.solver import gain_energy
 
 SIGMAS = (1.0, 3.0, 10.0, 30.0, 100.0)
-"""Of Young's inequality, which the source leaves open: half a decade apart, the best is taken."""
+"""Values of sigma in Young's inequality, which the source leaves open: half a decade apart; the best is used."""
 
 
 def design_gao2022(plant: Plant, sigmas: float | Sequence[float] = SIGMAS) -> ContinuousObserver:
     """Design the observer of a continuous model: the smallest bound over sigmas, weights of yt against yt', 1/s.
 
-    ``sqrt_mu`` is that against [w; w'; fa'], confirmed by the norm of its gains (noise path ``"all"``).
+    ``sqrt_mu`` is the bound against [w; w'; fa'], confirmed by the norm of its gains (noise path ``"all"``).
 
     Errors are those of :func:`gains.published.catalogue.design_baseline`.
     """

@@ -1,13 +1,13 @@
-"""Baseline: augmented-state (extended) Kalman filter with random-walk faults: what a user would pick instead.
+"""Baseline: augmented-state (extended) Kalman filter with random-walk faults, the usual alternative.
 
 xa = [x; f_s; f_a] in discrete time, faults as random walks and all scales as standard deviations per sample:
 
     x+   = A x + B v + c + G g(H x) + E_f f_a + E_1 w_1        f+ = f + rate / rate_hz * white noise
     y    = C x + D_f f_s + D_1 w_2
 
-The walk of f_s is an ASSUMPTION that the filter needs and FAUIO does not: a sensor fault with a rate too small is
-followed late, with one too large it tells the filter nothing. Noise and states get a floor (``FLOOR`` of what the
-outputs show of the one-sample uncertainty), for a noise that spares an output would make it exact.
+The walk of f_s is an ASSUMPTION that the filter needs and FAUIO does not: with too small a rate the filter follows a
+sensor fault late, with too large a rate it ignores the sensor. Noise and states get a floor (``FLOOR`` of what the
+outputs show of the one-sample uncertainty), because an output without noise would count as exact.
 
 :func:`design_ekf` is the steady-state filter at the middle of the slopes, with the true g in its prediction; it
 compiles to the same gains as every observer, in the current form x^(k|k).
@@ -28,13 +28,11 @@ from gains.synthesis.design import ObserverMatrices, design_figures
 from gains.synthesis.gains_file import Gains
 
 FLOOR = 1e-2
-"""Of the uncertainty of one sample: as for our own designs (gains.synthesis.conditioning), so that both are told the
-same.
-"""
+"""Floor of noise and states, as a share of the uncertainty of one sample: as for our own designs
+(gains.synthesis.conditioning), so that both have the same information."""
 _STABILITY_TOLERANCE = 1e-7
-"""Of a pole's distance from the unit circle: the Riccati solver returns poles on the circle within the square root of
-rounding.
-"""
+"""Smallest distance of a stable pole from the unit circle: the Riccati solver returns poles on the circle within the
+square root of rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,14 +91,14 @@ def filter_model(plant: Plant, rate_hz: float | None = None) -> FilterModel:
 def design_ekf(plant: Plant, rate_hz: float | None = None) -> Gains:
     """Return the compiled steady-state filter of a continuous model, sampled at a rate, or of a discrete one.
 
-    The residual of its recursion is the innovation y - Cb xa^(k|k-1). It claims no bound.
+    The residual of its recursion is the innovation y - Cb xa^(k|k-1). It has no bound.
 
     Raises
     ------
     ModelError
         The model cannot be sampled at that rate.
     InfeasibleError
-        The Riccati equation has no stabilising solution: a fault with a random walk shows in no output.
+        The Riccati equation has no stabilising solution: a fault with a random walk has no effect on any output.
     """
     from scipy.linalg import solve_discrete_are
 

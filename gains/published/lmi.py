@@ -1,7 +1,7 @@
-"""What the reconstructed baselines share: Lipschitz rows, the solver, the test of what it reports.
+"""Shared parts of the reconstructed baselines: Lipschitz rows, the solver, and the test of the bound that it reports.
 
 The inequalities are written with E, D, the identity that weighs the errors and the unit rate of fa' replaced by their
-scaled versions, so that every bound speaks of the same [w; w'; fa'] and e as ours.
+scaled versions, so that every bound is for the same [w; w'; fa'] and e as ours.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from gains.synthesis.continuous_observer import ContinuousObserver
 from gains.synthesis.solver import DEFAULT, solve_program
 
 SLACK = 1e-4
-"""What the solver may have left of a constraint, as for our own designs."""
+"""Tolerance of the solver's constraints, as for our own designs."""
 ALLOWANCE = 1e-2
-"""Share of the least bound that is given for smaller gains: at the least they are 1e7 on the arm, which no sampled
-run can use.
-"""
+"""Share by which the bound may exceed the least for smaller gains: at the least they are 1e7 on the arm, which no
+sampled observer can use."""
 SMALLEST = 1e-3
-"""Share of the error that matters: a bound below it is as good as that, and the solver's digits end."""
+"""Smallest bound, as a share of the error that matters: a smaller one is no better, and beyond the solver's
+accuracy."""
 
 
 def lipschitz_rows(plant: Plant) -> FloatArray:
-    """Return H with each row times its largest slope, and times sqrt(k) where g_i has k arguments."""
+    """Return H with each row times its largest slope, and times sqrt(k) if g_i has k arguments."""
     sizes = [
         math.sqrt(len(g.arguments)) * np.max(np.abs(g.slopes), axis=1) for g in plant.nonlinearities if len(g.slopes)
     ]
@@ -61,9 +61,9 @@ def solve_tempered(
 ) -> float:
     """Minimise mu, then the energy of the gains with the bound within ``ALLOWANCE`` of that minimum.
 
-    The minimum alone drives gains to infinity (1e7 on the arm), which no sampled run can use; bounds below
-    ``SMALLEST`` of the error that matters are as good as that. Returns the seconds in
-    the solver; errors as :func:`solve_lmi`.
+    The minimum alone drives gains to infinity (1e7 on the arm), which no sampled observer can use; bounds below
+    ``SMALLEST`` of the error that matters are as good as that. Returns the seconds in the solver; errors as
+    :func:`solve_lmi`.
     """
     import cvxpy as cp
 
@@ -105,7 +105,7 @@ def confirmed(observer: ContinuousObserver, inputs: Inputs = "all") -> Continuou
     Raises
     ------
     InaccurateError
-        It is not: the bound is no bound.
+        The norm is larger: the bound does not hold.
     """
     norm = error_norm(observer.plant, observer, noise_path="all", inputs=inputs)
     if not norm.confirms(math.inf if observer.sqrt_mu is None else observer.sqrt_mu):

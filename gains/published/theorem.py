@@ -1,4 +1,4 @@
-"""The paper's Theorem 1 (no disturbances) and Theorem 2 (with them), as corrected: for comparison.
+"""The paper's Theorem 1 (no disturbances) and Theorem 2 (with them), as corrected, for comparison.
 
 Unknowns are P = diag(P1, P2 / beta), R1^T = P1 K, R2^T = P2 L2, the multiplier Z of the slopes, and mu; the scalars
 beta, epsilon and delta are chosen by hand. The law is L_p = L_i = beta L2. At every vertex Phi of the slopes and for
@@ -17,8 +17,8 @@ the error [zeta~; fa~] the inequality reads (the lower blocks follow by symmetry
     X_ij     = [ P1 L1 G H_ij; -R2^T Cb L1 G H_ij ]^T,   H_ij = e_m(i) e_nbar(j)^T,   (H Phi)_ij = g_ij [H_i T, 0]
     M = [0, Cb^T R2],   N = [R1^T Cb, 0],   U = [0, Cb^T R2],   V = [R1^T D, 0, 0]
 
-In Theorem 1 (no w) the last block row and column are gone, and the columns of w and w'. What is mended, with the
-numbers of the theory's list of errors in the print:
+Theorem 1 (no w) lacks the last block row and column, and the columns of w and w'. Corrections, with the numbers of the
+theory's list of errors in the print:
 
 1.  The existence conditions do not follow from Cb (3 x 5 in the example); they are tested for each model.
 2.  Young's term behind (1, 1) is (M + eps N)^T (2 eps P1)^-1 (M + eps N); the print has (-2 eps P1)^-1, which would be
@@ -60,22 +60,20 @@ from gains.synthesis.solver import DEFAULT, ROBUST, gain_energy, solve_program
 Theorem = Literal["theorem1", "theorem2"]
 
 BETA, EPSILON, DELTA = 100.0, 0.0112, 5.0
-"""Of the paper's example."""
+"""Values of the paper's example."""
 SMALLEST_SQRT_MU = 2.5e-4
-"""The bound that the paper prints for Theorem 1 (2.5399e-4), rounded down: where the least one is zero, this one is
-asked for.
-"""
+"""Smallest bound that is pursued: the one that the paper prints for Theorem 1 (2.5399e-4), whose least bound is zero,
+rounded down."""
 _SLACKS = (1e-4, 1e-3, 1e-2, 5e-2)
-"""By how much mu is raised until the certificate holds: what a design loses at the most, as little as the solver
-allows.
-"""
+"""Relative increases of mu, tried in turn until the certificate holds: a design loses no more than the last one. The
+first is as small as the solver allows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Slope:
     """One slope g_ij that varies.
 
-    X is L1 G H_ij (nz, nbar), H is H_i T (nbar, nz), values are those at each vertex.
+    X is L1 G H_ij (nz, nbar), H is H_i T (nbar, nz), ``values`` are its values at each vertex.
     """
 
     X: FloatArray
@@ -85,7 +83,7 @@ class _Slope:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Terms:
-    """The plant's part of the inequality; zeta~ and fa~ in units of the errors that matter, y in its own size."""
+    """The plant's part of the inequality; zeta~ and fa~ in units of the errors that matter, y in units of its size."""
 
     L1_A: FloatArray  # [L1 A_z, L1 E_f] with the constant slopes (nz, na)
     B: FloatArray  # [L1 E, -F D, 0] (nz, nw)
@@ -119,14 +117,14 @@ def design_theorem(
 ) -> Design:
     """Design the paper's observer with its own inequality, corrected, and prove it: L_p = L_i = beta L2.
 
-    First comes the least mu; what is below ``smallest_sqrt_mu`` is not pursued. In Theorem 1, whose least mu is
-    zero, that value always is the bound: it says what was asked for, not what can be reached. Then, a little above
-    it, come those gains that put the least energy into the error, with the smallest P, which makes it decay fast:
-    trace(Z_1) + trace(Z_2) + trace(P) with Z_1 >= K^T P1 K and Z_2 >= beta L2^T P2 L2. Without such a choice gains
-    are wherever a solver happens to stop.
+    First comes the least mu; bounds below ``smallest_sqrt_mu`` are not pursued. In Theorem 1, whose least mu is zero,
+    the bound always is that value: it is what was requested, not the best possible. Then, with a slightly larger mu,
+    come the gains that put the least energy into the error, with the smallest P, so that the error decays fast:
+    trace(Z_1) + trace(Z_2) + trace(P) with Z_1 >= K^T P1 K and Z_2 >= beta L2^T P2 L2. Without such a choice the gains
+    depend on where the solver happens to stop.
 
-    beta cancels: the inequality holds beta L2 and P2 / beta only. It tells L2, nothing else. epsilon and delta, which
-    Theorem 1 has not, apply to errors in units of the sizes that matter; all three are positive.
+    beta cancels: the inequality contains only beta L2 and P2 / beta. It determines L2, nothing else. epsilon and delta,
+    of which Theorem 1 has only epsilon, apply to errors in units of the sizes that matter; all three are positive.
 
     Raises
     ------
@@ -226,7 +224,7 @@ def _terms(plant: Plant, L1: FloatArray, model: ErrorModel) -> _Terms:
 def _solve(
     terms: _Terms, epsilon: float, delta: float | None, mu_fixed: float | None = None
 ) -> tuple[_Solution | None, float]:
-    """Minimise mu, or the energy of the gains at a fixed mu; None where there is no solution, and the seconds."""
+    """Minimise mu, or the energy of the gains at a fixed mu; None if there is no solution, and the seconds."""
     import cvxpy as cp
 
     (nz, na), p, nw = terms.L1_A.shape, len(terms.C), terms.B.shape[1]
@@ -236,7 +234,8 @@ def _solve(
     P1, R1_T = cp.Variable((nz, nz), symmetric=True), cp.Variable((nz, p))
     P, R2_T = E_z @ P1 @ E_z.T, np.zeros((na, p))
     mu = cp.Variable()
-    # The columns of Sigma_q in units of sqrt(mu), and P2 with them: numbers of one size for the solver.
+    # The columns of Sigma_q in units of sqrt(mu), and P2 with them, so that all numbers have similar size for the
+    # solver.
     level = 1.0 if mu_fixed is None else math.sqrt(mu_fixed)
     bound = mu if mu_fixed is None else 1.0
     effect = E_z @ P1
@@ -292,7 +291,7 @@ def _solve(
 
 
 def _multiplier(terms: _Terms, constraints: list[Any]) -> Any:
-    """Return Z of the paper's form, None where no slope varies, and add what it has to meet."""
+    """Return Z of the paper's form, None if no slope varies, and add its constraints."""
     import cvxpy as cp
 
     count = len(terms.slopes)

@@ -1,6 +1,6 @@
 """Baseline: fast adaptive estimation of actuator faults (Zhang, Jiang, Cocquempot 2008), a RECONSTRUCTION.
 
-The original text could not be had. The form is rebuilt from the structure that the FAUIO paper attributes to it and
+The original text was not available. The form is rebuilt from the structure that the FAUIO paper attributes to it and
 from the general literature; the paper quotes no number for it.
 
     x^' = A x^ + B v + c + G g(x^) + E_f fa^ - L e_y        e_y = C x^ - y
@@ -12,7 +12,7 @@ stands for A + G Delta H there),
     [ P A + A'P - Y C - C'Y' + 2 alpha P    -(1/sigma) (A'P E_f - C'Y'E_f)                    ]
     [ *                                     -(2/sigma) E_f'P E_f + (1/(sigma mu_z)) G_z       ]  < 0
 
-It knows no sensor faults, no disturbance and no noise, and bounds no H-infinity norm. Gamma, free in the form, is the
+It has no sensor faults, no disturbance and no noise, and bounds no H-infinity norm. Gamma, free in the form, is the
 learning rate times (E_f' P E_f)^-1: f_a~ then decays at about that rate.
 """
 
@@ -30,11 +30,11 @@ from gains.synthesis.solver import gain_energy
 _SIGMA = 1.0
 """Weight of e_y against e_y', 1/s, which the source leaves open."""
 _MU_Z = 1.0
-"""The form's weight of G_z: G_z is free, so that any positive one gives the same."""
+"""Weight of G_z in the form: G_z is free, so that any positive weight gives the same result."""
 _LEARNING_RATE = 10.0
-"""How fast the fault estimate follows, 1/s."""
+"""Rate at which the fault estimate follows the fault, 1/s."""
 _DECAY = 0.5
-"""alpha, 1/s: 0 in the form attributed to the original."""
+"""alpha, 1/s; it is 0 in the form attributed to the original."""
 
 
 def design_zhang2008(plant: Plant) -> ContinuousObserver:
