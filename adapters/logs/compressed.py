@@ -12,21 +12,22 @@ from typing import Any, BinaryIO
 from adapters.errors import TelemetryError
 
 _PIECE_BYTES = 1 << 16
-"""Chosen: a piece that memory and cache do not notice, of which thousands a second are read."""
-# What a decompressor has put out of a piece is lost when it finds damage in it: pieces are kept small.
+"""Bytes of a piece. Chosen: small for memory and cache, and thousands a second are read."""
+# A decompressor that finds damage loses what it has decompressed of the piece: pieces are kept small.
 _COMPRESSED_BYTES = 128
 _AUTO_GZIP = 31
-# What `xz -9` needs is 65 MB; a damaged head may ask for 4 GB.
+# Memory limit of the decompressor, bytes: `xz -9` needs 65 MB; a damaged header may ask for 4 GB.
 _DECOMPRESSOR_BYTES = 1 << 28
 
 ON_BYTES: ContextVar[Callable[[int], None] | None] = ContextVar("ON_BYTES", default=None)
-"""Callback for the number of bytes read from files, before decompression: progress bars set it. A variable of the
-context, because the readers of all kinds of recordings lie between them and the files.
+"""Callback for the number of bytes read from files, before decompression: progress bars set it.
+
+It is a variable of the context, because the readers of all kinds of recordings are between them and the files.
 """
 
 
 class CompressedFile:
-    """The bytes of a file, those of ``.xz`` and ``.gz`` decompressed; ``damaged`` where the compressed data broke off.
+    """The bytes of a file, decompressed from ``.xz`` and ``.gz``; ``damaged`` if the compressed data broke off.
 
     Iterate over it once. Concatenated streams are read as one; damage ends the file.
     """

@@ -1,4 +1,4 @@
-"""What of a recording could not be read, as lines for people: every reader says it the same way."""
+"""Damage of recordings, as lines for people: the same words from every reader."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """What of one file is missing.
+    """The missing parts of one file.
 
     The findings are parts of a sentence: ``"breaks off at byte 4711"``, ``"2 damaged blocks"``. From byte
-    ``stopped_at`` on nothing could be read; None where the file was read to its end.
+    ``stopped_at`` on nothing could be read; None if the file was read to its end.
     """
 
     file: str
@@ -34,17 +34,18 @@ def counted(number: int, noun: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ScanStatistics:
-    """Counts of a reader that searches for the next intact record, or packet, behind damage."""
+    """Counts of a reader that searches for the next intact record, or packet, after damage."""
 
-    records: int = 0  # records of known kinds, wanted or not; packets of any
-    unknown: int = 0  # whole records of kinds that were not known when this was written; packets not in the dialect
+    records: int = 0  # records of known kinds, wanted or not; packets of any kind
+    # whole records of kinds that were unknown when this was written; packets that are not in the dialect
+    unknown: int = 0
     damaged: int = 0  # places where the log was damaged
     skipped_bytes: int = 0  # bytes that belong to no intact record
-    broken_off: bool = False  # whether the log ends within a record, or its compressed data early
+    broken_off: bool = False  # whether the log ends within a record, or its compressed data ends early
 
 
 def scan_damage(file: str, scan: ScanStatistics) -> Damage | None:
-    """Return the damage that such a reader found, None where it found none."""
+    """Return the damage that such a reader found, or None if it found none."""
     findings = []
     if scan.damaged:
         findings.append(f"{counted(scan.damaged, 'damaged place')}, {counted(scan.skipped_bytes, 'byte')} unreadable")

@@ -1,7 +1,7 @@
 """Onboard logs of ArduPilot (DataFlash .bin, plain or .xz / .gz): records in the order they were logged.
 
-A record is two bytes that mark it, its kind, and fields by the format that the log itself defines for that kind. There
-are no checksums: damage shows only where there is no record.
+A record consists of two bytes that mark it, its kind, and fields in the format that the log itself defines for that
+kind. There are no checksums: damage shows only where no record begins.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from adapters.logs.onboard_log import (
 )
 from adapters.source import DATAFLASH
 
-# struct code, and by how much to divide: pymavlink's DFReader decodes the same, which the tests hold it against.
+# struct code, and divisor: pymavlink's DFReader decodes the same, and the tests compare with it.
 CODES: Final[dict[str, tuple[str, float | None]]] = {
     "a": ("64s", None),
     "b": ("b", None),
@@ -60,32 +60,34 @@ _ARRAY = "a"
 _INSTANCE = "#"
 _LARGEST_RECORD = 256
 _PADDING_BYTES = 528
-"""Boards that log in blocks fill the last one up; pymavlink passes over as many bytes."""
+"""Boards that log in blocks pad the last one; pymavlink skips as many bytes."""
 _GPS_EPOCH_S = 315_964_800
 _WEEK_S = 604_800
-# Since 2017; GPS time knows no leap seconds, and what the log holds is GPS time.
+# Since 2017; GPS time has no leap seconds, and the log holds GPS time.
 _LEAP_S = 18
 _FIX_3D = 3
 
 
 @dataclass(slots=True)
 class _Format:
-    """A kind of record as the log defines it."""
+    """A kind of record as defined in the log."""
 
     kind: RecordKind  # its name and fields
-    length: int  # its bytes with mark and number
+    length: int  # its bytes including mark and number
     columns: tuple[str, ...]  # names of all fields
-    defines: bool = False  # whether its records say what others look like
+    defines: bool = False  # whether its records define the format of others
 
 
 class DataflashReader(OnboardLogReader):
     """Reads an onboard log of ArduPilot.
 
-    Records come under their names, ``BARO/1`` being the second instance where the log says which field tells
-    instances apart (unit ``#``). Values are decoded as pymavlink's DFReader does. Time since boot is ``TimeUS``, in old
-    logs ``TimeMS``; fixes are those of ``GPS`` in 3D. Of records whose format contradicts itself, as some of
-    ArduPilot's own do, the fields that fit are decoded. That a log ends within a record is no damage: it does wherever
-    power is cut. See :class:`OnboardLogReader`, whose parameters it takes.
+    Records have the names of the log, ``BARO/1`` being the second instance if the log marks a field that tells
+    instances apart (unit ``#``). Values are decoded as by pymavlink's DFReader. Time since boot is ``TimeUS``, in old
+    logs ``TimeMS``; fixes are those of ``GPS`` in 3D. If a record's format contradicts itself, as some of ArduPilot's
+    own do, the fields that fit are decoded. A log that ends within a record is not damaged: this happens whenever power
+    is cut.
+
+    See :class:`OnboardLogReader`, whose parameters it takes.
     """
 
     source = DATAFLASH
@@ -100,7 +102,7 @@ class DataflashReader(OnboardLogReader):
     def _begin(self) -> None:
         formats = self._format("FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")
         formats.defines = True
-        # by the bytes that records begin with
+        # by the first bytes of records
         self._formats = {_head(_FORMAT_KIND): formats}
 
     def _open(self, window: Window) -> None:
@@ -111,7 +113,7 @@ class DataflashReader(OnboardLogReader):
 
     def _known(self, head: bytes) -> tuple[int, RecordKind | None] | None:
         form = self._formats.get(head)
-        # what defines others is learned before the next record is looked at
+        # definitions are read before the next record is processed
         if form is None or form.defines:
             return None
         return form.length, form.kind if form.kind.wanted else None
@@ -123,12 +125,12 @@ class DataflashReader(OnboardLogReader):
         if not window.fill(form.length):
             return self._resume(window, end=True)
         if not form.defines:
-            # the chain only ran out of bytes
+            # the chain only reached the end of the bytes
             return True
         body = window.data[window.at + _HEAD_BYTES : window.at + form.length]
         fields = form.kind.layout.rows(np.frombuffer(body, form.kind.layout.dtype))[0]
         if not self._learn(form, fields):
-            # a record that defines nothing after all is damage
+            # a record that should define a format and does not is damage
             return self._resume(window)
         self._heads.clear()
         self._records += 1
@@ -138,7 +140,7 @@ class DataflashReader(OnboardLogReader):
         return True
 
     def _learn(self, form: _Format, fields: Mapping[str, Any]) -> bool:
-        """Learn from a record what others look like; return whether it is one."""
+        """Read a definition from a record; return whether it is one."""
         if form is self._formats[_head(_FORMAT_KIND)]:
             return self._define(form, fields)
         defined = self._formats.get(_head(_whole(fields.get("FmtType"))))
@@ -146,12 +148,12 @@ class DataflashReader(OnboardLogReader):
         if defined is not None and 0 <= place < len(defined.columns):
             instance = defined.columns[place]
             if instance != defined.kind.instance:
-                # records that came before keep their names
+                # earlier records keep their names
                 defined.kind = replace(defined.kind, instance=instance)
         return True
 
     def _define(self, form: _Format, fields: Mapping[str, Any]) -> bool:
-        """Learn a format; return whether the record is one."""
+        """Read a format; return whether the record is one."""
         try:
             made = self._format(fields["Name"], fields["Length"], fields["Format"], fields["Columns"])
         except ValueError:
@@ -171,7 +173,7 @@ class DataflashReader(OnboardLogReader):
         return True
 
     def _format(self, name: str, length: int, codes: str, columns: str) -> _Format:
-        """Return a format; ValueError where none is defined that way."""
+        """Return a format; raise ValueError if the definition is invalid."""
         if not name.isascii() or not name.isprintable() or not name or "/" in name or length < _HEAD_BYTES:
             raise ValueError("no format")
         names = columns.split(",") if columns else []
@@ -181,14 +183,14 @@ class DataflashReader(OnboardLogReader):
         return _Format(RecordKind(name, kind, wanted), length, tuple(names))
 
     def _stands(self, window: Window, ahead: int) -> bool:
-        """Return whether a record of a known kind, or the end, is so many bytes ahead."""
+        """Return whether a record of a known kind, or the end, is ``ahead`` bytes ahead."""
         if not window.fill(ahead + _HEAD_BYTES):
             return window.left == ahead
         at = window.at + ahead
         return window.data[at : at + _HEAD_BYTES] in self._formats
 
     def _standing(self, window: Window, searched: int) -> int | None:
-        # one that has another behind it
+        # a record that is followed by another
         start, at = window.at, window.at
         while (at := window.data.find(_MARK, at + 1, start + searched)) >= 0:
             form = self._formats.get(window.data[at : at + _HEAD_BYTES])
@@ -198,7 +200,7 @@ class DataflashReader(OnboardLogReader):
 
     @staticmethod
     def relation(boot_ns: int, *fields: int) -> int | None:
-        """Return UTC minus time since boot by a record of GPS that had a fix."""
+        """Return UTC minus time since boot from a GPS record that had a fix."""
         week, ms, old_week, old_ms, status = fields
         if week <= 0:
             week, ms = old_week, old_ms
@@ -207,12 +209,12 @@ class DataflashReader(OnboardLogReader):
 
 
 def _head(number: int) -> bytes:
-    """Return what the records of a kind begin with."""
+    """Return the first bytes of the records of a kind."""
     return _MARK + bytes([number]) if 0 <= number < 256 else b""
 
 
 def _layout(name: str, codes: str, columns: Sequence[str], size: int) -> RecordLayout:
-    """Return where the fields of a format lie, as far as they have a name, a known code and room in the record."""
+    """Return the layout of a format's fields that have a name, a known code and room in the record."""
     fields: list[tuple[LayoutField, Any, int]] = []
     at = 0
     for column, code in zip(columns, codes, strict=False):
@@ -227,7 +229,7 @@ def _layout(name: str, codes: str, columns: Sequence[str], size: int) -> RecordL
         elif code == _ARRAY:
             fields.append((LayoutField(column), ("<i2", (width // 2,)), at))
         elif shape.endswith("s"):
-            # pieces of files may hold anything, zeros included
+            # damaged files may hold any bytes here, including zeros
             read = _raw if name == "FILE" and code == "Z" else _texts
             fields.append((LayoutField(column, read, numbers=False), f"V{width}", at))
         else:
@@ -249,5 +251,5 @@ def _raw(values: NDArray[np.void]) -> FieldValues:
 
 
 def _whole(value: Any) -> int:
-    """Return a whole number; 0 where there is none."""
+    """Return a whole number; 0 if there is none."""
     return value if type(value) is int else 0

@@ -1,7 +1,8 @@
-"""Which MAVLink message a record of an onboard log stands for: the tables, built in or a user's own, and the guess.
+"""MAVLink messages from records of an onboard log: the tables, built in or a user's own, and the choice among them.
 
-A profile names MAVLink messages. An onboard log holds the same quantities under names and units of its own; a table
-per message says from which, so that one profile serves both. Where it names several ways, the log decides.
+A profile names MAVLink messages. An onboard log holds the same quantities with names and units of its own. A table per
+message names their records and fields, so that one profile serves both. If a table has several ways, the log's contents
+decide.
 """
 
 from __future__ import annotations
@@ -26,15 +27,16 @@ ONBOARD_SOURCES: Final = ("ulog", "dataflash")
 _ANGLES: Final[tuple[Angle, ...]] = ("roll", "pitch", "yaw")
 _OF_CHANNELS = ("field", "scale", "offset", "period", "interpolation")
 _LONGEST_REPEAT_S = 1e6
-"""Chosen: twelve days, longer than any log; in nanoseconds it fits 64 bits."""
+"""Longest time between repeats of a state, seconds. Chosen: twelve days, longer than any log; in nanoseconds it fits 64
+bits."""
 _INSTANCES = 4
-"""Instances of a topic that PX4 has (ORB_MULTI_MAX_INSTANCES) until 1.12, and of outputs since."""
-# Of two ways to fill a message, the later one only where it comes this much more often.
+"""Most instances of a topic in PX4 (ORB_MULTI_MAX_INSTANCES) until 1.12, and of outputs since."""
+# Of two ways to fill a message, the later one is taken only if its record comes this much more often.
 _CLEARLY = 1.5
-# Stamps are as fine as the log's own, and as large: whole milliseconds of 32 bits hold neither microseconds nor UTC.
+# Stamps are as fine and as large as the log's own: whole milliseconds of 32 bits hold neither microseconds nor UTC.
 _CLOCK_CODES = {"time_boot_ms": "d", "time_usec": "Q"}
 PARAMETERS: Final = "PARM"
-"""Records that say whether ArduPilot logged before it was armed."""
+"""Records that show whether ArduPilot logged before it was armed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,33 +44,33 @@ class FieldRule:
     """One field of a MAVLink message."""
 
     name: str  # the field
-    topic: str  # name of the log's record it is taken from
-    channel: Channel | None  # where in that record, scale and offset; None for a constant
-    # taken from another record than the one that makes the message: interpolated linearly to that one's time, or its
-    # last value, as the channel says
+    topic: str  # name of the log's record that holds it
+    channel: Channel | None  # field in that record, scale and offset; None for a constant
+    # taken from another record than the one that makes the message: interpolated linearly to the time of that record,
+    # or its last value, depending on the channel
     joined: bool
-    angle: Angle | None  # the channel's place holds a quaternion (w, x, y, z), body to earth; this is its angle
-    # the values that whole numbers of the log stand for; a number that is not listed makes no message unless
-    # ``otherwise`` has one
+    angle: Angle | None  # angle to take from the channel's field, a quaternion (w, x, y, z), body to earth
+    # the field's values by whole numbers of the log; a number that is not listed makes no message, unless ``otherwise``
+    # has a value for it
     values: Mapping[str, int] | None
     constant: int | None  # the value
-    unknown: int | float  # the value where the log has none
-    required: bool  # the log has to have this place to fill the message
-    code: str  # how the message carries it: a struct code
-    otherwise: FieldRule | None = None  # where else in the same record to look for a number that is not listed
-    # The values that it changes between: before the first record, it has the one that the record does not have. Without
-    # any record it has the first in a log of ArduPilot that was begun at arming, the other in one that was begun
+    unknown: int | float  # the value if the log has none
+    required: bool  # the log must have this field to fill the message
+    code: str  # struct code of the value in the message
+    otherwise: FieldRule | None = None  # other field of the same record for a number that is not listed
+    # The two values of a state: before the first record, it has the value that the first record does not have. Without
+    # any record it has the first value in a log of ArduPilot that was begun at arming, the second in one that was begun
     # before.
     before: tuple[int, int] | None = None
 
     @property
     def array(self) -> str | None:
-        """Name of the array that it is an element of, None where it is a field of its own."""
+        """Name of the array that contains the field as an element, None if it is a field of its own."""
         name, bracket, _ = self.name.partition("[")
         return name if bracket else None
 
     def places(self) -> Iterator[FieldRule]:
-        """Yield the rule and those that it falls back on."""
+        """Yield the rule and its alternatives (``otherwise``)."""
         yield self
         if self.otherwise is not None:
             yield from self.otherwise.places()
@@ -76,11 +78,11 @@ class FieldRule:
 
 @dataclass(frozen=True, slots=True)
 class MessageRule:
-    """One way to fill a MAVLink message: the name of the log's record that makes one, and where its fields come from.
+    """One way to fill a MAVLink message: the name of the log's record that makes one, and the sources of its fields.
 
-    They are all fields in the order of the definition, elements of an array one by one. A state is repeated after
-    ``repeat_ns``. Of a topic with several instances the one counts of which most elements of the list ``moves`` change
-    in the log: a mixer's outputs are logged whether anything is connected to them or not.
+    The fields are complete, in the order of the definition, elements of an array one by one. A state is repeated after
+    ``repeat_ns``. Of a topic with several instances, the one is used in which most elements of the list ``moves``
+    change in the log: a mixer's outputs are logged even if nothing is connected to them.
     """
 
     message: str
@@ -88,12 +90,12 @@ class MessageRule:
     fields: tuple[FieldRule, ...]
     repeat_ns: int | None
     moves: str | None = None
-    # further messages of the name that the same records make, with what has no room in the first
+    # further messages of the same name from the same records, with fields that do not fit the first
     further: tuple[MessageRule, ...] = ()
 
     @property
     def instances(self) -> tuple[str, ...]:
-        """Names of the topic's records, of each instance that may fill the message."""
+        """Names of the topic's records, for each instance that may fill the message."""
         return (self.topic, *(f"{self.topic}/{k}" for k in range(1, _INSTANCES) if self.moves))
 
     def of_instance(self, topic: str) -> MessageRule:
@@ -103,7 +105,7 @@ class MessageRule:
 
     @property
     def linear(self) -> Mapping[str, bool]:
-        """Names of the records between which values are interpolated, and whether the message needs them."""
+        """Records between which values are interpolated, and whether the message needs each of them."""
         required: dict[str, bool] = {}
         for field in self.fields:
             if field.joined and field.channel is not None and field.channel.interpolation == "linear":
@@ -112,7 +114,7 @@ class MessageRule:
 
     @property
     def before(self) -> tuple[int, int] | None:
-        """The values that a state in the message changes between."""
+        """The two values of a state in the message."""
         return next((field.before for field in self.fields if field.before), None)
 
     @property
@@ -140,14 +142,14 @@ class LogMapping:
     rules: Mapping[str, tuple[MessageRule, ...]]
 
     def topics(self, only: Collection[str]) -> frozenset[str]:
-        """Return the names of the records that could fill some of these messages."""
+        """Return the names of the records that could fill the given messages."""
         return frozenset().union(*(rule.topics for name, rules in self.rules.items() if name in only for rule in rules))
 
     def guess(self, counts: Mapping[str, int], examples: Mapping[str, Mapping[str, Any]]) -> dict[str, MessageRule]:
-        """Return how the messages are filled from a log: by the first way that the log can fill.
+        """Return the rules that fill the messages from a log: the first way that the log can fill.
 
-        A later one is taken where its record comes half as often again. ``counts`` are records by name,
-        ``examples`` the fields of any record of each name.
+        A later way is taken if its record comes half as often again. ``counts`` are records by name, ``examples`` the
+        fields of any record of each name.
         """
         chosen = {}
         for name, rules in self.rules.items():
@@ -166,12 +168,12 @@ def builtin_mapping(source: str) -> LogMapping:
 
 
 def read_mapping(path: str | os.PathLike[str], source: str) -> LogMapping:
-    """Return the built-in tables with those of a user's TOML file in place of the ones of the same message.
+    """Return the built-in tables, with those of a user's TOML file instead of the ones of the same message.
 
     Raises
     ------
     TelemetryError
-        The file cannot be read or a table makes no sense.
+        The file cannot be read or a table is invalid.
     """
     own = parse_mapping(read_toml(Path(path), TelemetryError))
     return LogMapping({**builtin_mapping(source).rules, **own.rules})
@@ -183,7 +185,7 @@ def parse_mapping(file: TomlFile) -> LogMapping:
     Raises
     ------
     TelemetryError
-        A table makes no sense; a line for each mistake.
+        A table is invalid; one line per mistake.
     """
     rules = {}
     for message in file.root:
@@ -198,9 +200,9 @@ def parse_mapping(file: TomlFile) -> LogMapping:
 
 @cache
 def _kinds(message: str) -> dict[str, tuple[str, int]] | None:
-    """Return struct code and length of each field of a message by pymavlink's table; None where there is no such one.
+    """Return struct code and length of each field of a message by pymavlink's table, or None if it has no such message.
 
-    Text has no code, and the length of what is no array is 0.
+    Text has no code, and the length of a field that is no array is 0.
     """
     codes = {"float": "f", "double": "d", "char": "", "int8_t": "b", "uint8_t": "B", "int16_t": "h", "uint16_t": "H"}
     codes |= {"int32_t": "i", "uint32_t": "I", "int64_t": "q", "uint64_t": "Q"}
@@ -262,7 +264,7 @@ def _field(name: str, code: str, topic: str, table: Table | None) -> FieldRule:
         if joined and "interpolation" not in place:
             table.mistake("interpolation", 'is missing: the topic is another one; write "linear" or "previous"')
         channel = read_channel(name, Table(table.file, table.path, {"message": source, **place}))
-    # a record without a time has that of the one before
+    # a record without a time has the time of the previous one
     required = not table.has("unknown") and not clock
     nothing = _number(table, "unknown", code, nothing)
     table.done()
@@ -271,11 +273,11 @@ def _field(name: str, code: str, topic: str, table: Table | None) -> FieldRule:
 
 
 def _number(table: Table, key: str, code: str, default: Any) -> Any:
-    """Return a number, whole or not as the file has it, that the field of a message can hold."""
+    """Return a number, whole or not as in the file, that the field of a message can hold."""
     value = table.raw(key)
     if value is None:
         return default
-    # NaN is what floats have where nothing is known
+    # NaN is the unknown value of floats
     if not (key == "unknown" and isinstance(value, float) and isnan(value)):
         table.finite((key,), value)
     if table.good(key):

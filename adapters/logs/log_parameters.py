@@ -1,4 +1,4 @@
-"""The vehicle's parameters in a recording: what each kind of record that holds one says."""
+"""The vehicle's parameters in a recording, from each kind of record that holds one."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _INTEGERS = {1: "<B3x", 2: "<b3x", 3: "<H2x", 4: "<h2x", 5: "<I", 6: "<i"}
 
 
 def parameter(message: Message, *, px4: bool = False) -> tuple[str, float] | None:
-    """Return name and value of the parameter that a message holds, None where it holds none.
+    """Return name and value of the parameter that a message holds, or None if it holds none.
 
-    ``px4`` says that PX4 sent it: in PARAM_VALUE the bytes of its integers lie in the place of a float
+    ``px4`` says that PX4 sent it: in PARAM_VALUE it writes the bytes of integers in place of a float
     (https://mavlink.io/en/services/parameter.html, "bytewise"; ArduPilot converts them).
     """
     name_field, value_field = _FIELDS[message.name]

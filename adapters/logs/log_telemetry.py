@@ -1,4 +1,4 @@
-"""Records of an onboard log -> the MAVLink messages they stand for, each with the time of the record that makes it."""
+"""Records of an onboard log -> the corresponding MAVLink messages, each with the time of the record that makes it."""
 
 from __future__ import annotations
 
@@ -23,30 +23,26 @@ from adapters.source import MAVLINK
 # Ids of the vehicle: logs do not hold them, and those of autopilots are 1, 1 unless configured otherwise.
 _SYSTEM = _COMPONENT = 1
 _LOOKED_AT_NS = 5_000_000_000
-"""How much of a log is looked at before it is decided from which records messages are filled. Chosen: long enough to
-tell rates of 1 Hz apart, short enough to hold in memory.
-"""
+"""Time from the begin of a log that is read before the records that fill messages are chosen. Chosen: long enough to
+tell rates of 1 Hz apart, short enough to hold in memory."""
 _LOOKED_AT = 20_000
-"""Records after which it is decided in any case."""
+"""Most records that are read before that choice."""
 _LONGEST_NS = 1_000_000_000
-"""The longest gap that is interpolated across. Chosen: ten intervals of the slowest record that a message needs for it
-(ArduPilot's ATT, logged at 10 Hz), two of the slowest that it has use for (PX4's vehicle_magnetometer, at 2 Hz).
-"""
+"""Longest gap that is interpolated across. Chosen: ten intervals of the slowest record that a message needs for it
+(ArduPilot's ATT, logged at 10 Hz), two of the slowest optional one (PX4's vehicle_magnetometer, at 2 Hz)."""
 _REACH = 20_000
-"""Records behind the one that makes a message in which to look for those that it is joined with. Chosen: some seconds
-of any log, short enough to hold in memory.
-"""
+"""Records after the one that makes a message in which records to join are searched for. Chosen: some seconds of any
+log, short enough to hold in memory."""
 _NEAR_NS = 1_000_000_000
-"""How far a stamp may be from the log's clock: as far as the monitor believes one at once. Further off, it is another
-clock's, or of long before it was logged, and the time of the record stands in.
-"""
-# What says that ArduPilot logs before it is armed: the parameter, and a bit of the mask in versions before it.
+"""Largest difference of a stamp from the log's clock: the one that the monitor accepts at once. A larger one is another
+clock's, or from long before it was logged, and the time of the record replaces it."""
+# Settings by which ArduPilot logs before it is armed: the parameter, and a bit of the mask in earlier versions.
 _LOGGED_DISARMED = {"LOG_DISARMED": 0xFF, "LOG_BITMASK": 1 << 16}
 _LONG_AGO_NS = -(1 << 60)
 _LARGEST_QUATERNION = 2.0
-"""A rotation is of length one; NaN is no number at all and not below this either."""
+"""Limit of a quaternion's elements: a rotation has length one, and NaN is not below the limit either."""
 _SEARCHED = 64
-"""Records among which to look first for the one where a state is due again; then among twice as many, and so on."""
+"""Records in which the next repeat of a state is searched for first; then in twice as many, and so on."""
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -59,14 +55,15 @@ def telemetry(
     anew: Callable[[Collection[str]], Iterable[Batch]],
     chosen: Callable[[MessageRule], object] = lambda _: None,
 ) -> Iterator[Batch]:
-    """Return a log's records and, behind each, the MAVLink messages that it makes.
+    """Return a log's records and, after each, the MAVLink messages that it makes.
 
-    Which record fills a message is decided on the first 5 s of the log, or with the first record that can.
+    The record that fills a message is chosen from the first 5 s of the log, or when the first record that can fill it
+    comes.
 
     ``only`` names records and MAVLink messages wanted, None wants all; messages of other sources pass. ``anew`` reads
-    the log once more, records of some names only: that a vehicle is armed at the begin of a log, its first record of
-    arming or disarming says, and which of a topic's instances moves, all of it. ``chosen`` is called with each rule by
-    which messages are filled.
+    the log once more, only records of some names: the first record of arming or disarming shows whether the vehicle is
+    armed at the begin of the log, and the whole log shows which of a topic's instances moves. ``chosen`` is called with
+    each rule by which messages are filled.
     """
     making = _Telemetry(mapping, only, anew, chosen)
     remaining = iter(batches)
@@ -83,7 +80,7 @@ def telemetry(
 
 
 class _Telemetry:
-    """The rules in use, and what decides on those that are not yet."""
+    """The rules in use, and the data that decide on the others."""
 
     def __init__(
         self,
@@ -106,7 +103,7 @@ class _Telemetry:
         self._relations: Counter[int] = Counter()
         self._looked_at = 0
         self._first_ns: int | None = None
-        # how many records were there, and what comes behind a message that is not complete yet
+        # number of earlier records, and the messages that follow an incomplete message
         self._passed = 0
         self._later: tuple[list[Columns], dict[int, Message]] = [], {}
 
@@ -116,7 +113,7 @@ class _Telemetry:
         return self._open.topics(self._open.rules.keys())
 
     def look_at(self, batch: Batch) -> bool:
-        """Count records at the beginning of a log; return whether that is enough to decide by."""
+        """Count records at the begin of a log; return whether they suffice to choose."""
         times_ns, start = arrival_times(batch), 0
         if self._first_ns is None:
             start = min((int(at[0]) for name, at in _positions(batch) if name in self._relevant), default=batch.count)
@@ -133,7 +130,7 @@ class _Telemetry:
         return stop <= batch.count
 
     def _learn(self, batch: Batch) -> None:
-        """Learn from the begin of a log its clock, and whether it was begun at arming."""
+        """Find from the begin of a log its clock, and whether it was begun at arming."""
         for columns in batch.columns:
             stamps_ns = own_stamps_ns(columns.fields, len(columns.position))
             timed = stamps_ns != NO_TIME
@@ -153,7 +150,7 @@ class _Telemetry:
                 self._examples[entry.name] = first.fields
 
     def choose(self) -> None:
-        """Decide for the messages that what was counted can fill."""
+        """Choose rules for the messages that the counted records can fill."""
         for name, rule in self._open.guess(self._counts, self._examples).items():
             further = (addition for addition in rule.further if addition.fillable(self._examples))
             for filled in (self._moving(rule), *further):
@@ -161,7 +158,10 @@ class _Telemetry:
             self._open = LogMapping({key: tried for key, tried in self._open.rules.items() if key != name})
 
     def _moving(self, rule: MessageRule) -> MessageRule:
-        """Return the rule for the instance of its topic that moves; the first one where as many elements do."""
+        """Return the rule for the instance of its topic that moves.
+
+        The first one if as many elements move in others.
+        """
         there = [topic for topic in rule.instances if topic in self._examples or self._begun]
         if rule.moves is None or len(there) < 2:
             return rule
@@ -177,7 +177,7 @@ class _Telemetry:
         return rule.of_instance(max(there, key=lambda topic: moving.get(topic, 0)))
 
     def begin(self) -> None:
-        """Say with the first record what states hold until the first record that changes them."""
+        """Set with the first record the values that states have until the first record that changes them."""
         self._begun = True
         for rule, first in self._states.values():
             self._fillers.append(self._filler(rule))
@@ -192,11 +192,11 @@ class _Telemetry:
         return _Filler(rule, len(self._fillers), relation[0][0] if relation else None)
 
     def run(self, batch: Batch) -> Iterator[Batch]:
-        """Return the wanted records of a batch and what they make."""
+        """Return the wanted records of a batch and the messages that they make."""
         relevant = self._relevant - self._examples.keys()
         news = sorted({int(at[0]) for name, at in _positions(batch) if name in relevant})
         start, counted = 0, 0
-        # with the first record of a name it may be decided how a message is filled, from this record on
+        # a rule may be chosen with the first record of a name, and applies from this record on
         for first in news:
             yield from self._run(cut(batch, start, first), counted)
             self._count(cut(batch, first, first + 1))
@@ -205,7 +205,7 @@ class _Telemetry:
         yield from self._run(cut(batch, start, batch.count) if start else batch, counted)
 
     def _run(self, batch: Batch, counted: int) -> Iterator[Batch]:
-        """Return what records make by the rules in use; the first ``counted`` of them are counted already."""
+        """Return the messages by the rules in use; the first ``counted`` records are counted already."""
         self._count(cut(batch, counted, batch.count) if counted else batch)
         times_ns = arrival_times(batch)
         columns = [column for filler in self._fillers for column in filler.run(batch, times_ns, self._passed)]
@@ -225,12 +225,12 @@ class _Telemetry:
         )
 
     def finish(self) -> Iterator[Batch]:
-        """Return what still waits."""
+        """Return the messages that still wait."""
         made = [column for filler in self._fillers for column in filler.finish()]
         yield from self._in_order(made, {}, _place(self._passed))
 
     def _in_order(self, columns: Sequence[Columns], others: Mapping[int, Message], end: int) -> Iterator[Batch]:
-        """Return what is at places of :func:`_place` before an end, of now and before; keep the rest."""
+        """Return present and kept messages whose place (see :func:`_place`) is before ``end``; keep the rest."""
         columns = [*self._later[0], *columns]
         others = {**self._later[1], **others}
         cuts = [int(np.searchsorted(column.position, end)) for column in columns]
@@ -246,7 +246,7 @@ class _Telemetry:
             yield batch
 
 
-# Behind each record there is room for all that it makes: messages repeated and made, of each filler.
+# Places after each record for all messages that it makes: repeated and made ones, of each filler.
 _REPEATED, _MADE = 1, 2
 _ROOM = 1 << 16
 _STAGE = 1 << 14
@@ -271,7 +271,7 @@ class _Series:
 
     position: Integers  # (n,)
     received_ns: Integers
-    # by field of the rule (n,): numbers as they are measured, NaN where there is none, or as the message carries them
+    # by field of the rule (n,): measured numbers, NaN if missing, or numbers in the type of the message
     values: Mapping[str, NDArray[Any]]
 
     def __len__(self) -> int:
@@ -299,10 +299,10 @@ _Piece: TypeAlias = tuple[Integers, Integers, Mapping[str, NDArray[Any]]]
 
 
 class _Filler:
-    """Fills one kind of message by a rule; waits where values are interpolated between records yet to come.
+    """Fills one kind of message by a rule; waits for later records between which values are interpolated.
 
-    ``number`` is its place among all fillers: the first ones go first. ``unix_minus_boot_ns`` relates the records'
-    times of arrival to the log's clock, None where no record tells it.
+    ``number`` is its index among all fillers, whose order it sets. ``unix_minus_boot_ns`` relates the records' times of
+    arrival to the log's clock, None if no record tells it.
     """
 
     def __init__(self, rule: MessageRule, number: int, unix_minus_boot_ns: int | None) -> None:
@@ -323,13 +323,13 @@ class _Filler:
             topic: [field for field in rule.fields if field.joined and field.topic == topic] for topic in held
         }
         self._last_held: dict[str, _Series] = {}
-        # records that values are interpolated between, and messages that wait for more of them
+        # records between which values are interpolated, and messages that wait for more of them
         self._rows: dict[str, _Series] = {}
         self._waiting: _Series | None = None
         self._last: tuple[int, dict[str, NDArray[Any]]] | None = None
 
     def begin(self, begin: Mapping[str, int]) -> None:
-        """Send a message with the first record, with these values where there are any."""
+        """Begin with a message at the first record, with the given values."""
         values = {
             field.name: begin.get(field.name, field.unknown if field.constant is None else field.constant)
             for field in self._rule.fields
@@ -340,8 +340,8 @@ class _Filler:
     def run(self, batch: Batch, times_ns: Integers, passed: int) -> Iterator[Columns]:
         """Return the messages that the records of a batch make, complete or repeat, at places of :func:`_place`.
 
-        ``times_ns`` are the records' times of arrival (batch.count,), ``passed`` is how many records of the log were
-        before them.
+        ``times_ns`` are the records' times of arrival (batch.count,), ``passed`` is the number of earlier records of
+        the log.
         """
         made = self._made(batch, passed)
         if self._linear:
@@ -352,11 +352,11 @@ class _Filler:
         yield from self._columns(pieces)
 
     def complete_until(self, end: int) -> int:
-        """Return the place of the first message that waits, the end where none does."""
+        """Return the place of the first message that waits, or ``end`` if none waits."""
         return end if self._waiting is None or not len(self._waiting) else int(self._places(self._waiting)[0])
 
     def finish(self) -> Iterator[Columns]:
-        """Return what waits, with what is not known left unknown."""
+        """Return the messages that wait; missing values stay unknown."""
         waiting = self._waiting
         if waiting is not None and len(waiting):
             filled = self._joined(waiting, None)
@@ -382,7 +382,7 @@ class _Filler:
             yield Columns(MAVLINK, self._rule.message, _SYSTEM, _COMPONENT, place[order], received_ns, fields)
 
     def _made(self, batch: Batch, passed: int) -> _Series:
-        """Return the messages that records of a batch make, but for what is interpolated."""
+        """Return the messages that records of a batch make, without interpolated values."""
         records = _Recorded.of(batch, self._rule.topic)
         count = len(records.position)
         values: dict[str, NDArray[Any]] = {}
@@ -400,7 +400,7 @@ class _Filler:
         return _Series(records.position + passed, records.received_ns, values).rows(valid)
 
     def _stamped(self, field: FieldRule, values: NDArray[Any], received_ns: Integers) -> NDArray[Any]:
-        """Return a field's values (n,); of a stamp that is none of the log's clock, the record's time of arrival."""
+        """Return a field's values (n,); a stamp that is not of the log's clock becomes the record's time of arrival."""
         unit_ns = CLOCK_UNITS_NS.get(field.name)
         if unit_ns is None or self._unix_minus_boot_ns is None:
             return values
@@ -412,7 +412,7 @@ class _Filler:
     def _newest(
         self, batch: Batch, topic: str, fields: Sequence[FieldRule], position: Integers
     ) -> tuple[Integers, _Series]:
-        """Return which record of a topic is the newest at positions (-1: none), and those records."""
+        """Return the row of a topic's newest record at each position (-1: none), and these records."""
         series = _series(_Recorded.of(batch, topic), fields)
         before = self._last_held.get(topic)
         carried = 0 if before is None else len(before)
@@ -434,9 +434,9 @@ class _Filler:
         return self._joined(waiting, passed + batch.count)
 
     def _joined(self, waiting: _Series, end: int | None) -> _Series:
-        """Return the messages that are complete, and keep the rest; ``end`` is as of :class:`_Join`.
+        """Return the messages that are complete, and keep the rest; ``end`` is that of :meth:`_Join.of`.
 
-        A message that is older than all records of a topic that it needs is given up.
+        A message that is older than all records of a topic that it needs is discarded.
         """
         joins = [_Join.of(self._rows[topic], waiting, self._rule.linear[topic], end) for topic in self._linear]
         final = np.logical_and.reduce([join.final for join in joins])
@@ -451,7 +451,7 @@ class _Filler:
         return filled
 
     def _between(self, made: _Series, pair: Integers) -> _Series:
-        """Return messages with what is interpolated; ``pair`` (n, topics, 2) has the rows on either side, -1: none."""
+        """Return messages with interpolated values; ``pair`` (n, topics, 2) has the rows on either side, -1: none."""
         values = dict(made.values)
         for k, (topic, fields) in enumerate(self._linear.items()):
             left, right = pair[:, k, 0], pair[:, k, 1]
@@ -464,7 +464,7 @@ class _Filler:
         return _Series(made.position, made.received_ns, values)
 
     def _repeated(self, made: _Series, times_ns: Integers, passed: int) -> list[_Piece]:
-        """Return a state again on each record that arrives so long after the state was sent last."""
+        """Return a repeat of the state at each record that arrives ``repeat_ns`` after the state was sent last."""
         every_ns = self._rule.repeat_ns or 0
         pieces: list[_Piece] = []
         start = 0
@@ -489,10 +489,10 @@ class _Filler:
 
 
 def _due(times_ns: Integers, start: int, stop: int, sent_ns: int, every_ns: int) -> int | None:
-    """Return the first of some positions whose time is so far from the last that a state is repeated, None without."""
+    """Return the first position whose time differs enough from the last for a state to be repeated, or None."""
     width = _SEARCHED
     while start < stop:
-        # ever wider: what it costs is in proportion to how far the position is
+        # the width doubles: the cost is proportional to the distance of the position
         far = np.abs(times_ns[start : min(stop, start + width)] - sent_ns) >= every_ns
         if far.any():
             return start + int(far.argmax())
@@ -505,20 +505,20 @@ def _due(times_ns: Integers, start: int, stop: int, sent_ns: int, every_ns: int)
 class _Join:
     """The records of a topic on either side of n messages."""
 
-    pair: Integers  # their rows (n, 2), -1 where there are none; the one before twice where it stands for both
-    final: NDArray[np.bool_]  # whether no record to come can change that (n,)
+    pair: Integers  # their rows (n, 2), -1 if there is none; the one before twice if it stands for both
+    final: NDArray[np.bool_]  # whether no later record can change the pair (n,)
     early: NDArray[np.bool_]  # whether the message is older than all records of a topic that it needs (n,)
-    kept: Integers  # the first row that is still of use to each message, and to those to come (n + 1,)
+    kept: Integers  # the first row that each message, and later ones, still need (n + 1,)
 
     @classmethod
     def of(cls, rows: _Series, messages: _Series, required: bool, end: int | None) -> _Join:
         """Return the records around messages.
 
-        Rows that follow each other in time are a run; a clock that goes back ends it, and so does a gap where the
-        message needs the topic. A message belongs to the run of the record before it.
+        Rows that follow each other in time are a run; a clock that goes back ends it, and so does a gap if the message
+        needs the topic. A message belongs to the run of the record before it.
 
-        No two neighbours of ``rows`` have the same time. Where the messages do not need the topic (``required``), the
-        record before stands for a later one that does not come, or that is too far away. ``end`` is how many records of
+        No two neighbours of ``rows`` have the same time. If the messages do not need the topic (``required``), the
+        record before replaces a later one that does not come, or that is too far away. ``end`` is how many records of
         the log are known, None for all.
         """
         count, times_ns, position = len(messages), messages.received_ns, messages.position
@@ -556,13 +556,13 @@ class _Join:
         return cls(pair, final, required & has_right & ~has_left, kept)
 
     def needed_from(self, message: int) -> int:
-        """Return the first row that is still of use to a message and those behind it."""
+        """Return the first row that a message and those after it still need."""
         return int(self.kept[message])
 
 
 @dataclass(frozen=True, slots=True)
 class _Recorded:
-    """The records of one name in a batch: their columns, or messages where they are none."""
+    """The records of one name in a batch: their columns, or messages if they are not in columns."""
 
     position: Integers
     received_ns: Integers
@@ -584,7 +584,7 @@ class _Recorded:
         return cls(np.array(at, np.int64), times_ns, None, messages)
 
     def at(self, path: tuple[str | int, ...]) -> NDArray[Any] | None:
-        """Return the values at a path: numbers (n,) or lists of numbers (n, length); None where there are none."""
+        """Return the values at a path: numbers (n,) or lists of numbers (n, length), or None if there are none."""
         if self.columns is not None:
             first, *steps = path
             values = self.columns.fields.get(str(first)) if isinstance(first, str) else None
@@ -613,12 +613,12 @@ def _series(records: _Recorded, fields: Sequence[FieldRule]) -> _Series:
 
 
 def _nothing(count: int) -> Floats:
-    """Return as many numbers that are not known."""
+    """Return ``count`` unknown numbers (NaN)."""
     return np.full(count, np.nan)
 
 
 def _values(field: FieldRule, records: _Recorded) -> Floats:
-    """Return the numbers of a field (n,) in the message's unit, NaN where there are none."""
+    """Return the numbers of a field (n,) in the message's unit, NaN for missing ones."""
     number = _nothing(len(records.position))
     if field.channel is None:
         return number if field.constant is None else np.full(len(number), float(field.constant))
@@ -659,7 +659,7 @@ def _angle(quaternion: NDArray[Any], which: Angle) -> Floats:
 
 
 def _between(field: FieldRule, rows: _Series, left: Integers, right: Integers, time_ns: Integers) -> Floats:
-    """Return values at times (n,) from those on either side, the shorter way round where they wrap."""
+    """Return values at times (n,) from those on either side, the shorter way round for values that wrap."""
     values = rows.values[field.name]
     left_ns, right_ns = rows.received_ns[left], rows.received_ns[right]
     before, after = values[left], values[right]
@@ -670,12 +670,15 @@ def _between(field: FieldRule, rows: _Series, left: Integers, right: Integers, t
         if period is not None:
             step = (step + 0.5 * period) % period - 0.5 * period
         number = before + step * (time_ns - left_ns) / span_ns
-    # exactly on a record its value counts, whatever the other one is
+    # at the time of a record its value is used, whatever the other one is
     return np.where(time_ns == left_ns, before, np.where(time_ns == right_ns, after, number))
 
 
 def _carried(field: FieldRule, values: Floats) -> NDArray[Any]:
-    """Return numbers as the message carries them, whole numbers to the nearest; unknown where one does not fit."""
+    """Return numbers in the type of the message, whole numbers to the nearest.
+
+    Unknown for a number that does not fit.
+    """
     code = field.code
     dtype = np.dtype(f"<{code}")
     if code in "fd":
@@ -686,7 +689,7 @@ def _carried(field: FieldRule, values: Floats) -> NDArray[Any]:
         period = None if field.channel is None or code.islower() else field.channel.period
         whole = np.rint(values if period is None else values % period)
         limits = np.iinfo(dtype)
-        # of a float the largest number below the limit is meant: 2^64 - 1 is none
+        # 2^64 - 1 is not a float: the limit is the largest float below 2^64
         fits = (whole >= limits.min) & (whole <= limits.max) & (whole < float(limits.max) + 1.0)
         carried = np.where(fits, whole, 0).astype(dtype)
     return np.where(fits, carried, np.array(field.unknown, dtype))
@@ -695,9 +698,9 @@ def _carried(field: FieldRule, values: Floats) -> NDArray[Any]:
 def _first_state(
     rules: Sequence[MessageRule], anew: Callable[[Collection[str]], Iterable[Batch]]
 ) -> tuple[MessageRule, int | None]:
-    """Return which of several ways to fill a state's message is the first that a log follows, and its first value.
+    """Return which way to fill a state's message comes first in a log, and the state's first value.
 
-    Without any it is the first way, and None.
+    Without any record it is the first way, and None.
     """
     for batch in anew({rule.topic for rule in rules}):
         starts: list[tuple[int, int, int]] = []
