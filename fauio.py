@@ -1,22 +1,22 @@
 """Fault and attack monitor for drones and ground vehicles: the command line, and the library.
 
-As a library, ``import fauio`` gives what ``__all__`` lists; ``docs/library.md`` shows how it goes together:
+As a library, ``import fauio`` gives what ``__all__`` lists; ``docs/library.md`` shows how to use it:
 
 ======================  ================================================================================
 read_batches            the messages of a recording, as batches of columns
-read_recording          the same one by one
-read_profile, Profile   what is known of a vehicle: models, gains, channels, thresholds
+read_recording          the same messages one by one
+read_profile, Profile   the models, gains, channels and thresholds of a vehicle
 replay, Replay          find faults in a recording
-Pipeline                the same for telemetry that is still coming; pack makes batches of messages
+Pipeline                find faults in live telemetry; pack makes batches of messages
 fit, FitReport          learn a vehicle from recordings of healthy flights
 check, Check            which faults of a plant can be told apart
-design, Gains           design an observer for a plant; read_gains and write_gains keep it
+design, Gains           design an observer for a plant; read_gains and write_gains store it
 open_session,           receive the alarms of running monitors over Zenoh
 AlarmSubscriber
-FauioError ...          errors, all of one tree: adapters/errors.py
+FauioError ...          errors, all subclasses of one: adapters/errors.py
 ======================  ================================================================================
 
-As a command line it gathers the commands of the packages, runs one, and turns errors into lines on stderr. Nothing
+The command line collects the commands of the packages, runs one, and turns errors into lines on stderr. Nothing
 heavy is imported here or in the packages' ``commands`` modules: each command, and each name of the library, loads what
 it uses.
 """
@@ -175,7 +175,7 @@ _ADVICE = {
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name of the library when it is first used."""
+    """Import a name of the library when it is first used."""
     if name == "__version__":
         from importlib.metadata import version
 
@@ -212,10 +212,9 @@ def build_parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status.
 
-    Without arguments the overview is printed; ``help COMMAND`` is ``COMMAND --help``.
-
-    Exit status: 0 done, 1 something wrong found (review), 2 bad input or usage, 3 no feasible design, 4 alarms were
-    raised (with ``--fail-on-alarm``), 130 interrupted.
+    Without arguments the overview is printed; ``help COMMAND`` is ``COMMAND --help``. Exit status: 0 done, 1 something
+    wrong found (review), 2 bad input or usage, 3 no feasible design, 4 alarms were raised (with ``--fail-on-alarm``),
+    130 interrupted.
     """
     given = list(sys.argv[1:] if argv is None else argv)
     if not given or given[0] == "help":
@@ -224,7 +223,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             return _run(given)
         finally:
-            # a closed pipe shall show here, not while the interpreter ends
+            # a closed pipe has to raise its error here, not while the interpreter ends
             sys.stdout.flush()
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -247,7 +246,7 @@ def _run(argv: Sequence[str]) -> int:
 
 
 def _complain(line: str, status: int) -> int:
-    # a file's name may hold what a terminal obeys
+    # a file's name may hold control characters, which a terminal obeys
     sys.stderr.write("\n".join(map(printable, f"fauio: {line}".split("\n"))) + "\n")
     return status
 
@@ -260,7 +259,7 @@ def _os_error_line(error: OSError) -> str:
 
 
 class _PrintVersions(argparse.Action):
-    """Print versions; they are looked up only when they are asked for."""
+    """Print versions, which are looked up only when they are requested."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         from monitor.diagnosis.versions import version_text
@@ -270,7 +269,7 @@ class _PrintVersions(argparse.Action):
 
 
 class _Format(argparse.HelpFormatter):
-    """Help whose indented lines and examples stay as they are: an example broken in two does not run."""
+    """Help text that keeps indented lines and examples unwrapped: an example broken in two does not run."""
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, max_help_position=26)
@@ -291,7 +290,7 @@ class _Format(argparse.HelpFormatter):
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line: the mistake and what is probably meant; commands get the same kind."""
+    """A parser whose errors are one line: the mistake and the probable intention; commands get the same."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**({"formatter_class": _Format} | options))
@@ -302,7 +301,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(USAGE, f"{self.prog}: {message}; see '{self.prog} --help'\n")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        # here and not at the end: only the command itself knows its options
+        # here and not at the end, since only the command itself knows its options
         namespace, unknown = super().parse_known_args(args, namespace)
         if unknown:
             first = unknown[0].partition("=")[0]
@@ -320,17 +319,17 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _meant(given: str, known: Iterable[str]) -> str:
-    """Return the nearest of what is known, as the end of a sentence."""
+    """Return the nearest known word, as the end of a sentence."""
     from difflib import get_close_matches
 
-    # two dashes that all options share make none alike
+    # without dashes, which all options share and which say nothing about likeness
     plain = {option.lstrip("-"): option for option in known}
     near = get_close_matches(given.lstrip("-"), list(plain), n=1)
     return f"; did you mean {plain[near[0]]}?" if near else ""
 
 
 def _overview(commands: Iterable[tuple[str, str]]) -> str:
-    """Return first steps and the commands in groups; commands of no group come last."""
+    """Return first steps and the commands in groups; commands without a group come last."""
     left = dict(commands)
     parts = [_FIRST_STEPS]
     for title, names in _GROUPS.items():

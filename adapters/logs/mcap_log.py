@@ -49,13 +49,14 @@ from adapters.logs.mcap_records import RECORD_HEAD
 from adapters.message import Message
 
 MAX_CHANNELS = 4096
-"""Topics come from the network: the memory for them, and for their schemas, has to end."""
+"""Most channels of a file. Topics come from the network: the memory for them, and for their schemas, has to be
+bounded."""
 CHUNK_BYTES = 128 * 1024
-"""Messages in a chunk, before compression. Chosen: what damage to one byte may cost, some seconds of telemetry; larger
-ones compress a few per cent better."""
+"""Bytes of messages in a chunk, before compression. Chosen: the loss from damage to one byte, some seconds of
+telemetry; larger chunks compress a few per cent better."""
 
 _COMPRESSION = b"zstd"
-# opcode, length of what follows, then the record's own fields
+# opcode, length of the rest, then the record's own fields
 _MESSAGE = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
 )
@@ -65,39 +66,39 @@ _INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 _FOOTER = struct.Struct("<BQQQ")
 _FOOTER_BYTES = 20
 _MESSAGE_BYTES = _MESSAGE.itemsize
-# footer, statistics and summary offsets, apart from the channels' counts
+# footer, statistics and summary offsets, without the channels' counts
 _SUMMARY_BYTES = 1024
 
 
 class MessageLogWriter:
     """Writes telemetry, and records of other topics beside it, into one MCAP file with chunks, indexes and a summary.
 
-    MAVLink messages go to ``/mavlink/<NAME>`` as protobuf (as JSON where a message has other fields than
-    pymavlink's definition), Zenoh JSON to ``/zenoh/<key>`` as JSON. Log time and publish time are the time of
-    arrival; the order in the file is the order of the calls. Not for several threads at once.
+    MAVLink messages go to ``/mavlink/<NAME>`` as protobuf (as JSON if the fields are not those of pymavlink's
+    definition), Zenoh JSON to ``/zenoh/<key>`` as JSON. Log time and publish time are the time of arrival; the order in
+    the file is the order of the calls. A writer is not safe for several threads.
 
-    ``target`` is a file to create, or a stream to write to from its beginning (left open at the end). From an
-    unbuffered file (``io.FileIO``) a write that failed half-way is cut off again.
+    ``target`` is a file to create, or a stream to write to from its beginning (left open at the end). In an unbuffered
+    file (``io.FileIO``) the bytes of a failed write are cut off again.
 
-    ``records`` counts those taken, ``unrecordable`` messages left out because no record can hold them: values no JSON
-    knows, a time before 1970, or more topics than :data:`MAX_CHANNELS`.
+    ``records`` counts the accepted records, ``unrecordable`` the messages left out because no record can hold them:
+    values that JSON lacks, a time before 1970, or more topics than :data:`MAX_CHANNELS`.
 
     Raises
     ------
     StorageError
         The file cannot be created.
     OSError
-        A write failed, in any method. The file is whole up to the last chunk; only :meth:`close` and :meth:`resume`
-        are of use then.
+        A write failed, in any method. The file is whole up to the last chunk; only :meth:`close` and :meth:`resume` can
+        be called then.
     """
 
     def __init__(self, target: str | os.PathLike[str] | BinaryIO) -> None:
         self._owned: BinaryIO | None = None
         if isinstance(target, str | os.PathLike):
             try:
-                # unbuffered: a buffer would keep what could not be written, and try again on closing
+                # unbuffered: a buffer would keep bytes that could not be written, and write them again on closing
                 target = self._owned = cast(BinaryIO, Path(target).open("wb", buffering=0))  # noqa: SIM115 - close()
-                # so that nobody finishes a file that is being written; who cannot lock it writes all the same
+                # so that nobody finishes a file that is being written; without a lock it is written all the same
                 with contextlib.suppress(OSError):
                     fcntl.flock(target, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
@@ -139,7 +140,7 @@ class MessageLogWriter:
 
     @property
     def size(self) -> int:
-        """Bytes the file will have at most if it is closed now."""
+        """Largest size that the file would have if it were closed now, bytes."""
         return (
             self._at
             + len(self._definitions)
@@ -161,7 +162,7 @@ class MessageLogWriter:
 
     @property
     def failed(self) -> bool:
-        """Whether a write has failed and nothing was resumed since."""
+        """Whether a write has failed since the begin or the last :meth:`resume`."""
         return self._failed is not None
 
     def write(self, message: Message) -> None:
@@ -174,7 +175,7 @@ class MessageLogWriter:
         self.write_record(record)
 
     def write_record(self, record: Record) -> None:
-        """Record what is encoded already; a schema goes into the file with the topic's first record of that kind."""
+        """Record an encoded message; a schema is written with the topic's first record of that kind."""
         channel = self.channel(record.topic, record.encoding, record.schema)
         if channel is None or not 0 <= record.time_ns < 1 << 64:
             self.unrecordable += 1
@@ -182,7 +183,7 @@ class MessageLogWriter:
         self.add_all([channel], [record.data], [record.time_ns], record.publish_ns)
 
     def channel(self, topic: str, encoding: str, schema: Schema | None) -> int | None:
-        """Return a channel's id for :meth:`add_all`, None where it would be new and the file has too many already."""
+        """Return a channel's id for :meth:`add_all`, or None if it would be new and the file has too many already."""
         known = self._channel_ids.get((topic, encoding, schema))
         if known is not None or len(self._channel_ids) >= MAX_CHANNELS:
             return known
@@ -204,15 +205,15 @@ class MessageLogWriter:
     ) -> None:
         """Record encoded data, each on its channel, in their order.
 
-        Times are Unix nanoseconds, neither negative nor beyond 64 bits. Publish time and log time are the same where no
-        other is given.
+        Times are Unix nanoseconds, not negative and of at most 64 bits. Without a publish time the log time is used for
+        it.
         """
         if self._closed:
             raise RuntimeError("the log is closed; open another one")
         self.records += len(data)
         if self._failed is not None:
             raise _again(self._failed)
-        # what a chunk is made of is only collected here: it is put together for all of its messages at once
+        # the parts of a chunk are only collected here; they are joined for all its messages at once
         ends = [0, *accumulate(map(_MESSAGE_BYTES.__add__, map(len, data)))]
         start = 0
         while start < len(data):
@@ -237,9 +238,10 @@ class MessageLogWriter:
         self._totals.metadata_count += 1
 
     def amend_metadata(self, name: str, entries: Mapping[str, str]) -> None:
-        """Write a metadata record again where it stands, as it is there for readers that stop at the first message.
+        """Replace a metadata record, which is written early for readers that stop at the first message.
 
-        Its length has to stay: values that are not known at first are blanks. What cannot be rewound stays as it was.
+        Its length has to stay the same: values that are unknown at first are blanks. In a stream that cannot seek, the
+        record stays unchanged.
 
         Raises
         ------
@@ -256,25 +258,25 @@ class MessageLogWriter:
             self._stream.seek(self._at)
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Attach a file; its times are left at zero, which MCAP reads as unknown."""
+        """Attach a file; its times are zero, which MCAP reads as unknown."""
         record, at = _encoded(Attachment(0, 0, name, media_type, data)), self._at
         self._write(record)
         self._attachment_indexes += _encoded(AttachmentIndex(at, len(record), 0, 0, len(data), name, media_type))
         self._totals.attachment_count += 1
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system: it then survives ``kill -9``."""
+        """Pass everything written so far to the operating system: it then survives ``kill -9``."""
         if not self._closed:
             self._end_chunk()
             self._stream.flush()
 
     def resume(self) -> None:
-        """Go on behind the last whole chunk after a write that failed; what was added since is lost.
+        """Continue after the last whole chunk when a write has failed; messages added since are lost.
 
         Raises
         ------
         OSError
-            What the failed write left behind cannot be cut off.
+            The bytes of the failed write cannot be cut off.
         """
         if self._failed is None:
             return
@@ -282,11 +284,14 @@ class MessageLogWriter:
         self._stream.seek(self._at)
         self._failed = None
         self._begin_chunk()
-        # once more, for the first ones may be among what is lost
+        # again, since the first definitions may be among the lost bytes
         self._definitions += self._schemas + self._channels
 
     def close(self) -> None:
-        """Write what is left and the summary, after a failure that of what is in the file; then nothing more."""
+        """Write the remaining messages and the summary, after a failure only the summary of the file.
+
+        Then refuse writes.
+        """
         if self._closed:
             return
         self._closed = True
@@ -358,7 +363,7 @@ class MessageLogWriter:
         self._begin_chunk()
 
     def _records(self, channel: NDArray[np.uint16], times_ns: NDArray[np.uint64]) -> tuple[bytes, NDArray[np.int64]]:
-        """Return the chunk's records, definitions first, and where in it each message begins."""
+        """Return the chunk's records, definitions first, and the offset of each message in it."""
         data = self._data
         length = np.fromiter(map(len, data), np.int64, len(data)) + _MESSAGE_BYTES
         heads = np.zeros(len(data), _MESSAGE)
@@ -411,16 +416,16 @@ class MessageLogWriter:
         return summary + _encoded(Footer(summary_start=start, summary_offset_start=at, summary_crc=crc)) + MCAP0_MAGIC
 
     def _write(self, data: bytes) -> None:
-        """Write all of it or nothing."""
+        """Write all data or none."""
         if self._failed is not None:
             raise _again(self._failed)
         remaining = memoryview(data)
         try:
             while remaining:
-                # an unbuffered file may take a part and say why it took no more only when asked again
+                # an unbuffered file may write a part, and report the reason only at the next write
                 remaining = remaining[self._stream.write(remaining) :]
         except OSError as error:
-            # what a write raises does not name the file
+            # the error of a write does not name the file
             self._failed = OSError(error.errno, error.strerror, getattr(self._stream, "name", None))
             if isinstance(self._stream, io.FileIO):
                 with contextlib.suppress(OSError):
@@ -431,7 +436,7 @@ class MessageLogWriter:
 
 
 def _encoded(record: McapRecord) -> bytes:
-    """Return a record as it stands in a file."""
+    """Return a record as its bytes in a file."""
     builder: Any = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())

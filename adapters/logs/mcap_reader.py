@@ -1,4 +1,4 @@
-"""Reads message logs in MCAP, ours and others', finished or not, and says what of them is missing."""
+"""Reads message logs in MCAP, ours and others', finished or not, and reports what is missing."""
 
 from __future__ import annotations
 
@@ -33,27 +33,25 @@ from adapters.logs.mcap_records import MESSAGE_HEAD, RECORD_HEAD, UNREADABLE, Mc
 from adapters.message import LATEST_NS, Message
 from adapters.source import ZENOH
 
-# the footer and the magic behind it; the checksum is over the summary and the footer up to itself
+# the footer and the magic after it; the checksum covers the summary, and the footer up to the checksum
 _END = struct.Struct("<BQQQI8s")
 _CHECKED_FOOTER_BYTES = 25
 _DATA_END = RECORD_HEAD.pack(Opcode.DATA_END, 4)
 _CHECKSUM_BYTES = 4
 _MOST_SUMMARY_BYTES = 1 << 24
-"""How far from the file's end a summary is searched for that does not begin where the footer says. Chosen: enough for
-hours of recording; without a summary only the topics that a damaged chunk defines are missed.
-"""
+"""Bytes at the file's end in which a summary is searched for if it does not begin where the footer says. Chosen: enough
+for hours of recording; without a summary only the topics that a damaged chunk defines are missed."""
 _BATCH_BYTES = 1 << 24
-"""Payload in a batch at most: recordings of others hold images. Chosen: five times what as many messages of telemetry
-take, so that it bounds memory and nothing else.
-"""
-# samples, estimates and alarms of a monitor: no telemetry
+"""Most payload in a batch, bytes: recordings of others hold images. Chosen: five times the payload of as many messages
+of telemetry, so that it only bounds the memory."""
+# samples, estimates and alarms of a monitor, which are not telemetry
 _OUR_RESULTS = "/fauio/"
 _ZENOH_TOPICS = f"/{ZENOH}/"
 
 
 @dataclass(slots=True)
 class _Topic:
-    """A channel of the file; what decodes it is made when its first message comes."""
+    """A channel of the file; its decoder is made when its first message comes."""
 
     topic: str
     encoding: str
@@ -70,16 +68,15 @@ class MessageLogReader:
     """Reads a log's telemetry in the order it was written, also from unfinished and damaged files.
 
     Topics are those of :class:`MessageLogWriter`, and those of others (:mod:`adapters.encoding.foreign_record`).
-    Iterate over it once.
+    Iterate over it once. The file may be compressed, with the suffix ``.xz`` or ``.gz``.
 
-    The file may have ``.xz`` or ``.gz`` behind its name. ``only`` names the messages wanted, no others are decoded;
-    None wants all. ``types`` are ROS 2 types (``sensor_msgs/Imu``) whose topics are wanted whatever they are called,
-    and with any of them the recorded telemetry over Zenoh that is JSON, of which no type is known. ``topic`` wants that
-    topic alone, our own results too.
+    ``only`` names the messages wanted, and only these are decoded; None wants all. ``types`` are ROS 2 types
+    (``sensor_msgs/Imu``) whose topics are wanted whatever their name; with any of them recorded JSON telemetry over
+    Zenoh is wanted too, since its type is unknown. ``topic`` wants only that topic, including our own results. ``scan``
+    has the file's records, and their damage so far.
 
-    ``scan`` has the file's records, and what of them is damaged so far. ``messages`` counts those returned,
-    ``other_records`` records that are no telemetry (our own estimates and alarms), not wanted, or of topics that cannot
-    be read, ``damaged_records`` single ones that cannot be decoded.
+    ``messages`` counts the returned messages, ``other_records`` records that are not telemetry (our own estimates and
+    alarms), not wanted, or of topics that cannot be read, ``damaged_records`` single records that cannot be decoded.
     """
 
     def __init__(
@@ -101,7 +98,7 @@ class MessageLogReader:
         self._expected: int | None = None
 
     def damage(self) -> Damage | None:
-        """Return what could not be read, None where all could; call it after the last message."""
+        """Return what could not be read, or None if all could; call it after the last message."""
         scan = self.scan
         findings = list(described(self._unread))
         if scan.broken_off:
@@ -125,12 +122,12 @@ class MessageLogReader:
         Raises
         ------
         TelemetryError
-            The file cannot be opened, is no MCAP file or needs a compression that is not installed.
+            The file cannot be opened, is not an MCAP file or needs a compression that is not installed.
         """
         return (message for batch in self.batches() for message in messages(batch))
 
     def _decoded(self, topic: _Topic, time_ns: int, data: bytes) -> Message | None:
-        """Return a message and count it, None where it cannot be decoded."""
+        """Return a message and count it, or None if it cannot be decoded."""
         decode = topic.decode or self._decoder(topic)
         if decode is None:
             self.other_records += 1
@@ -144,9 +141,9 @@ class MessageLogReader:
         return message
 
     def batches(self, count: int = BATCH_MESSAGES) -> Iterator[Batch]:
-        """Return the messages in batches of ``count``, fewer where they are large or some cannot be read.
+        """Return the messages in batches of ``count``, fewer if they are large or some cannot be read.
 
-        Raises as iteration does.
+        It raises the errors of iteration.
         """
         data = self._data()
         while records := list(_first(data, count)):
@@ -169,7 +166,7 @@ class MessageLogReader:
                 yield _batch(columns, single)
 
     def _columns(self, topic: _Topic, group: Sequence[_Raw], indices: Sequence[int]) -> list[Columns] | None:
-        """Return the messages of a topic and count them, None where they have to be taken one by one."""
+        """Return the messages of a topic and count them, or None if they have to be decoded one by one."""
         decode = topic.decode or self._decoder(topic)
         if not isinstance(decode, TypedRecords):
             return None
@@ -179,7 +176,7 @@ class MessageLogReader:
         return columns
 
     def records(self) -> Iterator[Record]:
-        """Return the wanted records as they are in the file, readable or not; raises as iteration does."""
+        """Return the wanted records as they are in the file, readable or not; it raises the errors of iteration."""
         for topic, time_ns, publish_ns, data in self._data():
             self.messages += 1
             yield Record(topic.topic, topic.encoding, topic.schema, data, time_ns, publish_ns=publish_ns)
@@ -194,7 +191,7 @@ class MessageLogReader:
                 yield message
 
     def _message(self, body: bytes) -> _Raw | None:
-        """Return a message that is wanted; count any other one."""
+        """Return a message if it is wanted; otherwise count it."""
         if len(body) >= MESSAGE_HEAD.size:
             channel, _, time_ns, publish_ns = MESSAGE_HEAD.unpack_from(body)
             topic = self._topics.get(channel)
@@ -207,7 +204,7 @@ class MessageLogReader:
         return None
 
     def _define(self, opcode: int, body: bytes) -> None:
-        """Take in a record that says something about the others."""
+        """Process a record that defines a schema or a channel; ignore others."""
         try:
             if opcode == Opcode.SCHEMA:
                 schema = McapSchema.read(ReadDataStream(BytesIO(body)))
@@ -241,7 +238,7 @@ class MessageLogReader:
         return False
 
     def _decoder(self, topic: _Topic) -> Decode | None:
-        """Make what decodes a topic; where that is not possible the topic is wanted no more."""
+        """Make the decoder of a topic; a topic without one is not wanted any more."""
         try:
             topic.decode = decoder(topic.topic, topic.encoding, topic.schema)
         except UNREADABLE as error:
@@ -250,10 +247,10 @@ class MessageLogReader:
         return topic.decode
 
     def _learn_from_index(self) -> None:
-        """Take schemas, channels and the number of messages from a finished file's end; their chunk may be damaged."""
+        """Read schemas, channels and the number of messages from a finished file's end; their chunk may be damaged."""
         if self._path.suffix.lower() in (".xz", ".gz"):
             return
-        # a length that damage made up may be more than there is memory
+        # a damaged length may exceed the memory
         with contextlib.suppress(*UNREADABLE, McapError, MemoryError, OSError), self._path.open("rb") as stream:
             for opcode, body in records_in(_summary(stream)):
                 if opcode == Opcode.STATISTICS:
@@ -272,16 +269,16 @@ def _first(data: Iterator[_Raw], count: int) -> Iterator[_Raw]:
 
 
 def _batch(columns: list[Columns], single: Mapping[int, Message]) -> Batch:
-    """Return what was decoded together and group by group as a batch; of the latter, what can be, as columns too."""
+    """Return columns that were decoded together and single messages as a batch; messages become columns if they can."""
     packed, index = pack([*single.values()]), np.array([*single], np.int64)
     columns += (replace(group, position=index[group.position]) for group in packed.columns)
     return gathered(columns, {int(index[at]): message for at, message in packed.others.items()})
 
 
 def read_mcap_metadata(path: str | os.PathLike[str], *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
-    """Return a log's metadata records by name; later entries of the same name and key win.
+    """Return a log's metadata records by name; later entries of the same name and key replace earlier ones.
 
-    With ``ahead_only``, those ahead of all data, for which the file need not be read to its end.
+    With ``ahead_only``, return those before all data, for which the file need not be read to its end.
     """
     entries: dict[str, dict[str, str]] = {}
     for opcode, body in McapRecords(Path(path)):
@@ -295,9 +292,9 @@ def read_mcap_metadata(path: str | os.PathLike[str], *, ahead_only: bool = False
 
 
 def _summary(stream: BinaryIO) -> bytes:
-    """Return the summary at a finished file's end, checked; none where there is none.
+    """Return the summary at a finished file's end, checked; empty if there is none.
 
-    It starts where the footer says, or, where bytes were lost or added before it, behind the end of the data.
+    It starts where the footer says, or, if bytes were lost or added before it, after the end of the data.
     """
     end = stream.seek(-_END.size, os.SEEK_END)
     opcode, _, start, _, crc, magic = _END.unpack(stream.read())

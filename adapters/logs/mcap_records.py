@@ -1,9 +1,9 @@
 """The records of an MCAP file in the order of the file, from unfinished and damaged files too.
 
-A record is trusted where its length leads to another record, a chunk where its own lengths agree and its checksum
-holds. Behind damage the next chunk is searched for by its shape (in files without chunks: two records, one right behind
-the other), so that damage costs what it hit and nothing behind it. Of a chunk that the file's end or a run of zeros
-cuts off, as much is read as can be decompressed. The format: https://mcap.dev/spec
+A record is trusted if its length leads to another record, a chunk if its own lengths agree and its checksum is right.
+After damage the next chunk is searched for by its shape (in files without chunks: two consecutive records), so that
+only the damaged part is lost. If the file's end or a run of zeros cuts off a chunk, as much is read as can be
+decompressed. The format: https://mcap.dev/spec
 """
 
 from __future__ import annotations
@@ -23,21 +23,20 @@ from adapters.errors import TelemetryError
 from adapters.logs.onboard_log import Window
 
 MAX_RECORD_BYTES = 512 * 1024 * 1024
-"""Chosen: many times the largest chunk that recorders write; a length beyond it is damage, and nothing is allocated
-for it.
-"""
+"""Largest record, bytes. Chosen: many times the largest chunk that recorders write; a greater length is damage, and
+nothing is allocated for it."""
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence, log time, publish time."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
 """Start and end time, size of the records, their checksum, length of the compression's name."""
 UNREADABLE = (struct.error, ValueError, KeyError, OverflowError, EOFError, RuntimeError, zstandard.ZstdError)
-"""What decompressing and decoding damaged bytes raises."""
+"""Errors from decompressing and decoding damaged bytes."""
 
 _LENGTH = struct.Struct("<Q")
-# Chosen: compressions are called lz4 and zstd; what claims a much longer name is damage
+# Chosen: compressions are called lz4 and zstd; a much longer name is damage
 _LONGEST_NAME = 16
-# bytes of each kind of record where its texts and lists are empty
+# least bytes of each kind of record: those with empty texts and lists
 _LEAST_BYTES: dict[int, int] = {
     Opcode.HEADER: 8,
     Opcode.FOOTER: 20,
@@ -57,7 +56,7 @@ _LEAST_BYTES: dict[int, int] = {
 }
 _FIXED = (Opcode.FOOTER, Opcode.SUMMARY_OFFSET, Opcode.DATA_END)
 _PRIVATE = 0x80
-# what has no checksum is believed where another record follows, and searched for no further than this
+# longest record without a checksum that is believed because another record follows, and that is searched for
 _MAX_SEARCHED_BYTES = 1 << 24
 _ZEROS = bytes(16)
 
@@ -72,10 +71,10 @@ _LONGEST_MATCH = 64
 class McapRecords:
     """Iterates once over (opcode, body) of a file's records; the body of a chunk is its records, decompressed.
 
-    ``damaged_chunks`` counts blocks of records that were lost because their checksum or compression does not hold,
-    ``lost_ways`` how often the next record had to be searched for. ``stopped_at`` is the byte at which an unfinished or
-    broken file could not be read on, None after a proper end; ``broken_off`` whether there is something unreadable
-    there: an unfinished file may end between two records.
+    ``damaged_chunks`` counts blocks of records that were lost because their checksum or compression is wrong,
+    ``lost_ways`` how often the next record had to be searched for. ``stopped_at`` is the byte from which an unfinished
+    or broken file could not be read, None after a proper end; ``broken_off`` says whether there are unreadable bytes:
+    an unfinished file may end between two records.
     """
 
     def __init__(self, path: Path) -> None:
@@ -91,7 +90,7 @@ class McapRecords:
         Raises
         ------
         TelemetryError
-            The file cannot be opened, holds nothing of an MCAP file, or needs a compression that is not installed.
+            The file cannot be opened, contains no part of an MCAP file, or needs a compression that is not installed.
         """
         window = self._window
         if self._peek(0, len(MCAP0_MAGIC)) == MCAP0_MAGIC:
@@ -124,7 +123,7 @@ class McapRecords:
                 return
 
     def flat(self) -> Iterator[tuple[int, bytes]]:
-        """Return the records with those of chunks in the place of chunks; raises as iteration does."""
+        """Return the records, with each chunk replaced by its records; it raises the errors of iteration."""
         for opcode, body in self:
             if opcode == Opcode.CHUNK:
                 yield from records_in(body)
@@ -132,20 +131,20 @@ class McapRecords:
                 yield opcode, body
 
     def _record(self, opcode: int, size: int) -> tuple[bytes | None, int]:
-        """Return a record's body, None where the file ends within it, and its size, 0 where no record follows."""
+        """Return a record's body, None if the file ends within it, and its size, 0 if no record follows."""
         body = self._peek(RECORD_HEAD.size, size)
         if len(body) < size - RECORD_HEAD.size:
             return None, 0
-        # where none follows either length may be wrong: the body may do, the way on has to be searched for
+        # if none follows, either length may be wrong: the body may be used, the next record has to be searched for
         return body, size if opcode == Opcode.FOOTER else self._way_on(size)
 
     def _way_on(self, size: int) -> int:
-        """Return how far ahead the record behind one of this size is, 0 where it has to be searched for."""
+        """Return how far ahead the record after one of this size is, or 0 if it has to be searched for."""
         if not self._followed(size):
             return 0
         if len(self._peek(size, size + RECORD_HEAD.size)) < RECORD_HEAD.size or self._believable(size):
             return size
-        # the next one is damaged, or this one's length is wrong and its end looks like a record by chance
+        # the next record is damaged, or the length is wrong and leads by chance to bytes like a record
         at = 1
         while (candidate := self._find(at)) is not None and candidate < size:
             if self._believable(candidate):
@@ -155,7 +154,7 @@ class McapRecords:
         return size
 
     def _chunk(self, size: int) -> tuple[bytes | None, int]:
-        """Return a chunk's records as far as they can be read, and its size, 0 where it cannot be believed."""
+        """Return a chunk's records as far as they can be read, and its size, or 0 if the size cannot be trusted."""
         shape = self._shape(0)
         if shape is None:
             return None, 0
@@ -172,11 +171,11 @@ class McapRecords:
         behind = self._peek(size, size + RECORD_HEAD.size)
         if cut or (data.endswith(_ZEROS) and not behind.strip(b"\0")):
             return _beginning(shape, data.rstrip(b"\0") if not cut else data), 0
-        # the damage may have moved what follows: more is asked of it than of what follows a sound record
+        # the damage may have moved the next record: its check is stricter than after an intact record
         return None, size if len(behind) < RECORD_HEAD.size or self._believable(size) else 0
 
     def _shape(self, at: int) -> _Shape | None:
-        """Return what a chunk ``at`` bytes ahead says of itself, None where its lengths contradict each other."""
+        """Return the header data of a chunk ``at`` bytes ahead, or None if its lengths contradict each other."""
         at += RECORD_HEAD.size
         head = self._peek(at, at + _CHUNK_HEAD.size)
         if len(head) < _CHUNK_HEAD.size:
@@ -197,15 +196,15 @@ class McapRecords:
         return len(head) < RECORD_HEAD.size or _plausible(*RECORD_HEAD.unpack(head))
 
     def _peek(self, start: int, stop: int) -> bytes:
-        """Return the bytes from ``start`` to ``stop`` ahead, fewer where the file ends."""
+        """Return the bytes from ``start`` to ``stop`` ahead, fewer at the end of the file."""
         window = self._window
         window.fill(stop)
         return window.data[window.at + start : window.at + stop]
 
     def _find(self, start: int) -> int | None:
-        """Return how far ahead, at least so far, what looks like a record begins among the bytes that are held.
+        """Return how far ahead the next bytes like a record begin in the window, at least ``start``, or None.
 
-        In a file of chunks nothing is looked for that might be found inside one.
+        In a file of chunks, only records are searched for that cannot be found inside a chunk.
         """
         window = self._window
         match = (_CHUNKS if self._chunked else _RECORDS).search(window.data, window.at + start)
@@ -230,7 +229,7 @@ class McapRecords:
                 at = candidate + 1
 
     def _believable(self, at: int) -> bool:
-        """Return whether what looks like a record ``at`` bytes ahead is one."""
+        """Return whether the bytes ``at`` bytes ahead, which look like a record, are one."""
         head = self._peek(at, at + RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
             return False
@@ -244,7 +243,7 @@ class McapRecords:
 
 
 def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and body of the whole records that lie one behind the other in a chunk or a summary."""
+    """Yield opcode and body of the whole consecutive records in a chunk or a summary."""
     at = 0
     while at + RECORD_HEAD.size <= len(data):
         opcode, length = RECORD_HEAD.unpack_from(data, at)
@@ -261,7 +260,7 @@ class _Shape(NamedTuple):
 
 
 def _plausible(opcode: int, length: int) -> bool:
-    """Return whether there are records of this kind and length."""
+    """Return whether records of this kind can have this length."""
     if opcode >= _PRIVATE:
         return length <= MAX_RECORD_BYTES
     least = _LEAST_BYTES.get(opcode)
@@ -271,7 +270,7 @@ def _plausible(opcode: int, length: int) -> bool:
 
 
 def _decompressed(shape: _Shape, data: bytes) -> bytes:
-    """Return a chunk's records; raise one of :data:`UNREADABLE` where checksum, size or compression do not hold."""
+    """Return a chunk's records; raise one of :data:`UNREADABLE` if checksum, size or compression is wrong."""
     records = _expand(shape, data)
     if len(records) != shape.size or (shape.crc and zlib.crc32(records) != shape.crc):
         raise ValueError("the chunk is damaged")
@@ -279,7 +278,7 @@ def _decompressed(shape: _Shape, data: bytes) -> bytes:
 
 
 def _beginning(shape: _Shape, data: bytes) -> bytes | None:
-    """Return the records of a chunk that is cut off, as far as they can be had."""
+    """Return the records of a chunk that is cut off, as far as they can be read."""
     try:
         return _expand(shape, data)
     except (ImportError, *UNREADABLE):
@@ -287,7 +286,7 @@ def _beginning(shape: _Shape, data: bytes) -> bytes | None:
 
 
 def _expand(shape: _Shape, data: bytes) -> bytes:
-    """Decompress as much as there is, at most what the chunk says it holds."""
+    """Decompress the available data, at most the size in the chunk's header."""
     if not shape.compression:
         return data
     if shape.compression == "zstd":

@@ -1,4 +1,4 @@
-"""Finishes MCAP files that were not closed: all whole messages are written anew, by the mcap library, with an index."""
+"""Finishes MCAP files that were not closed: the mcap library writes all whole messages anew, with an index."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from adapters.logs.mcap_records import MESSAGE_HEAD, UNREADABLE, McapRecords
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What finishing a file did."""
+    """The result of finishing a file."""
 
     path: Path
     messages: int  # in the file now
-    cut_bytes: int  # of a record at the end that was cut off; what was whole in it is kept
+    cut_bytes: int  # bytes of a record at the end that was cut off; its whole messages are kept
 
 
 def is_unfinished(path: Path) -> bool:
-    """Return whether a file begins as MCAP and does not end so; raises OSError where it cannot be read."""
+    """Return whether a file begins as MCAP and does not end as MCAP; raise OSError if it cannot be read."""
     with path.open("rb") as file:
         begins = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
         file.seek(-min(len(MCAP0_MAGIC), file.seek(0, os.SEEK_END)), os.SEEK_END)
@@ -40,16 +40,16 @@ def is_unfinished(path: Path) -> bool:
 
 
 def finish(path: Path) -> Recovery | None:
-    """Put a finished file in the place of an unfinished one; one that is damaged inside is kept as ``NAME.damaged``.
+    """Replace an unfinished file by a finished one; a file with damage inside is kept as ``NAME.damaged``.
 
-    None is returned where the file is finished already.
+    None is returned if the file is finished already.
 
     Raises
     ------
     StorageError
         The file cannot be written, or is being written.
     TelemetryError
-        It is no MCAP file, or needs a compression that is not installed.
+        It is not an MCAP file, or needs a compression that is not installed.
     """
     copy_path = path.with_name(f".{path.name}.finishing")
     try:
@@ -72,7 +72,7 @@ def _finish(path: Path, copy_path: Path) -> Recovery:
         for opcode, body in scan.flat():
             if opcode == Opcode.DATA_END:
                 break
-            # one that cannot be read is left out
+            # an unreadable message is left out
             with contextlib.suppress(McapError, *UNREADABLE):
                 copy.add(opcode, body)
         else:
@@ -89,18 +89,18 @@ def _finish(path: Path, copy_path: Path) -> Recovery:
 
 
 class _Copy:
-    """A file that records are copied into; ``messages`` counts those."""
+    """A file into which records are copied; ``messages`` counts them."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self.writer: Any = Writer(stream, chunk_size=CHUNK_BYTES)
         self.messages = 0
         self._begun = False
-        # definitions by their ids in the file that is read, and the ids in this one
+        # definitions by their ids in the source file, and their ids in this one
         self._schemas: dict[int, tuple[Schema, int]] = {}
         self._channels: dict[int, tuple[Channel, int]] = {}
 
     def begin(self, profile: str = "", library: str = "fauio") -> None:
-        """Write the head of the file, if it is not there."""
+        """Write the header of the file, unless it was written."""
         if not self._begun:
             self._begun = True
             self.writer.start(profile, library)

@@ -1,7 +1,7 @@
-"""What the readers of onboard logs share: a window onto a file's bytes, and records of many kinds as columns.
+"""Common parts of the readers of onboard logs: a window of a file's bytes, and records of many kinds as columns.
 
-An onboard log is a chain of records that say what they are and how long they are. A reader goes from one to the next
-and notes only where they begin; :class:`Records` then decodes all of a kind at once.
+An onboard log is a chain of records, each with its kind and length. A reader goes from one to the next and notes only
+where they begin; :class:`Records` then decodes all records of a kind at once.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SCANNED_BYTES = 1 << 20
 """Bytes of a log read at a time to find its clock. Measured: twenty thousand records have 1.1 MB (ArduPilot) and 1.2 MB
 (PX4)."""
 _SEARCHED_AT_ONCE = 1 << 16
-"""Bytes in which to look for the next record at a time. Chosen: as many as the largest record of PX4 has."""
+"""Bytes in which the next record is searched for at a time. Chosen: as many as the largest record of PX4 has."""
 
 FieldValues: TypeAlias = "NDArray[np.generic] | list[Any]"
 
@@ -42,22 +42,22 @@ class LayoutField:
     """One field of a layout."""
 
     name: str  # its name
-    # from the field's values as they lie in the log, one row per record, to numbers (an array of as many rows) or to
-    # anything else (a list); None leaves numbers as they are
+    # converts the field's values as in the log, one row per record, to numbers (an array of as many rows) or other
+    # values (a list); None leaves numbers as they are
     convert: Callable[[NDArray[Any]], FieldValues] | None = None
-    numbers: bool = True  # whether the values are numbers, or lists of numbers that are alike long
+    numbers: bool = True  # whether the values are numbers, or lists of numbers of equal length
 
 
 @dataclass(frozen=True, slots=True)
 class RecordLayout:
-    """Where the fields lie in the records of one kind."""
+    """Positions of the fields in the records of one kind."""
 
-    dtype: np.dtype[np.void]  # structured type of a record; padding has no field in it
+    dtype: np.dtype[np.void]  # structured type of a record; padding is in no field
     fields: tuple[LayoutField, ...]  # the fields in their order
 
     @property
     def numbers(self) -> bool:
-        """Whether all fields are numbers or lists of numbers: the records can be columns."""
+        """Whether all fields are numbers or lists of numbers, so that the records can be columns."""
         return all(field.numbers for field in self.fields)
 
     def take(self, data: bytes, start: NDArray[np.int64]) -> NDArray[np.void]:
@@ -65,12 +65,12 @@ class RecordLayout:
         size = self.dtype.itemsize
         if not size:
             return np.zeros(len(start), self.dtype)
-        # each place of the data as the begin of a record: taking from that copies record by record
+        # a view with a record at each byte of the data: indexing it copies record by record
         everywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
         return everywhere[start].view(self.dtype)
 
     def columns(self, records: NDArray[np.void]) -> dict[str, FieldValues]:
-        """Return the fields of n records by name: an array of n rows, or a list of n values that are no numbers."""
+        """Return the fields of n records by name: an array of n rows, or a list of n values that are not numbers."""
         columns: dict[str, FieldValues] = {}
         for part in self.fields:
             values = np.ascontiguousarray(records[part.name])
@@ -78,7 +78,7 @@ class RecordLayout:
         return columns
 
     def rows(self, records: NDArray[np.void]) -> list[dict[str, Any]]:
-        """Return the fields of n records, one mapping for each."""
+        """Return the fields of n records, one mapping per record."""
         columns = self.columns(records)
         values = [column if isinstance(column, list) else column.tolist() for column in columns.values()]
         return [dict(zip(columns, (column[row] for column in values), strict=True)) for row in range(len(records))]
@@ -90,12 +90,12 @@ class RecordKind:
 
     name: str  # name of its messages
     layout: RecordLayout  # where the fields lie
-    wanted: bool = True  # whether anybody wants them
-    # field that tells instances apart: messages of the second are ``name/1``; None where there is one only
+    wanted: bool = True  # whether the records are wanted
+    # field that tells instances apart: messages of the second are ``name/1``; None if there is only one
     instance: str | None = None
 
     def named(self, columns: Mapping[str, FieldValues]) -> list[tuple[str, NDArray[np.int64] | slice]]:
-        """Return the names of the messages, and the rows that bear each."""
+        """Return the names of the messages, and the rows of each."""
         values = None if self.instance is None else columns[self.instance]
         if isinstance(values, np.ndarray) and (values.dtype.kind not in "iu" or values.ndim > 1):
             values = None
@@ -110,28 +110,28 @@ class RecordKind:
 _SCANNED = 20_000
 """Records with a stamp from whose times a log's clock is found. Chosen: some seconds of any log, read in 30 ms."""
 _APART_NS = 60_000_000_000
-"""Stamps further apart than this are of different clocks, or left over from before the log. Chosen: no log pauses for
-a minute within its first seconds, and clocks of other origins (boot, GPS week, Unix) are further apart.
-"""
+"""Least distance of stamps from different clocks, or of stamps from before the log. Chosen: no log pauses for a minute
+within its first seconds, and clocks of other origins (boot, GPS week, Unix) are further apart."""
 _LONGEST_NS = 30 * 86_400 * 1_000_000_000
-"""No log lasts as long as 30 days: a stamp further behind its start is of another clock, or damaged."""
+"""Longest log, 30 days: a stamp later than that after its start is of another clock, or damaged."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogStart:
-    """Where a log's clock begins, and what is not stamped by it."""
+    """The begin of a log's clock, and the records that are not stamped by it."""
 
     time_ns: int = 0  # time since boot of the begin of the log
     foreign: frozenset[str] = frozenset()  # names of records with stamps of another clock: GPS time of week, Unix time
 
 
 class LogClock:
-    """Times of arrival of a log's records: their own stamps, on a known relation of boot to UTC.
+    """Times of arrival of a log's records: their own stamps, with a known relation of boot to UTC.
 
-    A record without a stamp of the log's clock arrives with the one before: one that has none, has 0, or has one of
-    another clock; and one that was stamped before the log began, as the last value of a topic that seldom changes is.
+    A record without a stamp of the log's clock has the time of the previous record. Such a record has no stamp, the
+    stamp 0, the stamp of another clock, or one from before the log began, as the last value of a topic that seldom
+    changes.
 
-    ``newest_ns`` is the time since boot of the newest record with a stamp that can be one.
+    ``newest_ns`` is the time since boot of the newest record with a valid stamp.
     """
 
     def __init__(self, utc_minus_boot_ns: int, start: LogStart) -> None:
@@ -142,9 +142,9 @@ class LogClock:
         self._end_ns = min(LATEST_NS - utc_minus_boot_ns, LATEST_NS, start.time_ns + _LONGEST_NS)
 
     def stamps_ns(self, name: str, fields: Mapping[str, Any], count: int) -> NDArray[np.int64]:
-        """Return the times since boot of ``count`` records, below any that can be where there is no good one.
+        """Return the times since boot of ``count`` records, NO_TIME for those without a valid one.
 
-        ``fields`` are theirs by name, arrays or lists of values.
+        ``fields`` are the records' fields by name, arrays or lists of values.
         """
         stamps_ns = own_stamps_ns(fields, count)
         if name in self._start.foreign:
@@ -153,7 +153,10 @@ class LogClock:
         return stamps_ns
 
     def received_ns(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the times of arrival of n records in order (n,); one without a stamp has that of the one before."""
+        """Return the times of arrival of n records in order (n,).
+
+        A record without a stamp has that of the previous one.
+        """
         known = np.concatenate([[self.newest_ns], stamps_ns])
         last = np.maximum.accumulate(np.where(known != NO_TIME, np.arange(len(known)), 0))
         filled = known[last]
@@ -162,7 +165,7 @@ class LogClock:
 
 
 NO_TIME: Final = np.iinfo(np.int64).min
-"""In place of a stamp where there is none."""
+"""Replaces a missing stamp."""
 
 # Fields that hold a stamp since boot, and the nanoseconds of a count. In old logs of ArduPilot a GPS record's TimeMS is
 # the receiver's time of week, and T the time since boot.
@@ -170,7 +173,7 @@ _STAMPS = (("timestamp", 1_000), ("TimeUS", 1_000), ("T", 1_000_000), ("TimeMS",
 
 
 def own_stamps_ns(fields: Mapping[str, Any], count: int) -> NDArray[np.int64]:
-    """Return what n records of an onboard log say is their time since boot, nanoseconds, NO_TIME where nothing (n,)."""
+    """Return the stamps of n records of an onboard log since boot, nanoseconds, NO_TIME if missing (n,)."""
     for name, unit_ns in _STAMPS:
         if name in fields:
             values = np.asarray(fields[name])
@@ -181,7 +184,7 @@ def own_stamps_ns(fields: Mapping[str, Any], count: int) -> NDArray[np.int64]:
 
 
 class StartScan(LogClock):
-    """A clock that believes every stamp, and finds from those of a log's first records where its clock begins."""
+    """A clock that accepts every stamp, and finds the begin of a log's clock from the stamps of its first records."""
 
     def __init__(self) -> None:
         super().__init__(0, LogStart())
@@ -196,12 +199,12 @@ class StartScan(LogClock):
         return stamps_ns
 
     def found(self, batches: Iterable[Batch], head_ns: int | None = None) -> LogStart:
-        """Return where the clock begins of a log that is read with this clock.
+        """Return the begin of the clock of a log that is read with this clock.
 
-        Stamps that are close together are of one clock and one flight: the log's are those of most names, and of more
-        than half as many names.
+        Stamps that are close together are of one clock and one flight. The log's are the stamps that most names have,
+        and those that more than half as many names have.
 
-        Only the log's first records are read. ``head_ns`` is the time that the head of the file says.
+        Only the log's first records are read. ``head_ns`` is the time in the file's header.
         """
         for _ in batches:
             if sum(len(times_ns) for parts in self._stamps.values() for times_ns in parts) >= _SCANNED:
@@ -227,13 +230,13 @@ class StartScan(LogClock):
 class Records:
     """Consecutive records of a log, in their order, until they become a batch."""
 
-    source: Source  # of the messages
-    clock: LogClock  # what gives them their times
+    source: Source  # source of the messages
+    clock: LogClock  # gives the records their times
     only: Collection[str] | None  # names of the messages wanted; None wants all
-    data: bytes = b""  # what the places refer to
-    start: list[int] = field(default_factory=list)  # where in it the fields of each record begin
-    kind: list[RecordKind | None] = field(default_factory=list)  # its kind; None where it was decoded by itself
-    # names and fields of those, by their index
+    data: bytes = b""  # bytes that contain the records
+    start: list[int] = field(default_factory=list)  # where the fields of each record begin in these bytes
+    kind: list[RecordKind | None] = field(default_factory=list)  # kind of each record; None if it was decoded by itself
+    # names and fields of those records, by their index
     decoded: dict[int, tuple[str, dict[str, Any]]] = field(default_factory=dict)
 
     def add_decoded(self, name: str, fields: dict[str, Any]) -> None:
@@ -243,7 +246,7 @@ class Records:
         self.kind.append(None)
 
     def batch(self) -> Batch:
-        """Return the records as a batch, and begin anew."""
+        """Return the records as a batch, and clear them."""
         start = np.array(self.start, np.int64)
         codes = {kind: code for code, kind in enumerate(dict.fromkeys(self.kind))}
         code = np.fromiter(map(codes.__getitem__, self.kind), np.int64, len(self.kind))
@@ -281,7 +284,7 @@ class Records:
         rows: Sequence[tuple[str, int, dict[str, Any]]],
     ) -> Batch:
         kept = np.sort(np.concatenate([np.array([at for _, at, _ in rows], np.int64), *(at for _, at, _ in columns)]))
-        # unwanted instances leave no time behind either
+        # unwanted instances do not set the time of later records either
         times_ns = np.zeros(len(stamps_ns), np.int64)
         times_ns[kept] = self.clock.received_ns(stamps_ns[kept])
         return gathered(
@@ -291,10 +294,10 @@ class Records:
 
 
 class Window:
-    """The bytes of a file from a place on, at least as many as were asked for, plain or decompressed.
+    """The bytes of a file from a position on, at least as many as were requested, plain or decompressed.
 
-    It holds ``read_ahead_bytes`` whenever more have to be read. ``data`` is the part of the file that is held, another
-    object where more was read; ``at`` the place, as an index of it, which the reader moves on.
+    It reads ``read_ahead_bytes`` ahead whenever it has to read. ``data`` is the part of the file that is held, another
+    object after each read; ``at`` is the position, as an index of ``data``, which the reader advances.
     """
 
     def __init__(self, path: Path, read_ahead_bytes: int) -> None:
@@ -307,7 +310,7 @@ class Window:
         self.at = 0
 
     def fill(self, count: int) -> bool:
-        """Hold at least ``count`` bytes from the place on; return whether the file has as many."""
+        """Hold at least ``count`` bytes from the position on; return whether the file has as many."""
         if self.left >= count or self._ended:
             return self.left >= count
         pieces = [self.data[self.at :]]
@@ -322,45 +325,45 @@ class Window:
 
     @property
     def offset(self) -> int:
-        """The place as a number of bytes from the start of the (decompressed) file."""
+        """The position as a number of bytes from the start of the (decompressed) file."""
         return self._dropped + self.at
 
     def index(self, offset: int) -> int:
-        """Return a place of the file as an index of ``data``."""
+        """Return a position of the file as an index of ``data``."""
         return offset - self._dropped
 
     @property
     def left(self) -> int:
-        """How many bytes are held from the place on."""
+        """Number of bytes that are held from the position on."""
         return len(self.data) - self.at
 
     @property
     def cut(self) -> bool:
-        """Whether the compressed data was damaged, as far as was read."""
+        """Whether the compressed data was damaged in the part that was read."""
         return self._source.damaged
 
 
 class OnboardLogReader(ABC):
-    """Reads an onboard log in the order it was written, over damage if need be, as batches.
+    """Reads an onboard log in the order it was written, also across damage, as batches.
 
-    Time of arrival is the record's own time since boot on the relation of boot to UTC in the first position fix in the
-    log; without any, boot is the start of 1970. Records without a time of the log's clock have that of the one before
-    (:class:`LogClock`). Iterate once; :meth:`statistics` tells what was found. Each kind of log says how its records
-    follow one another.
+    Time of arrival is the record's own time since boot, with the relation of boot to UTC from the first position fix in
+    the log; without any, boot is the start of 1970. Records without a time of the log's clock have that of the previous
+    one (:class:`LogClock`). Iterate once; :meth:`statistics` returns the counts. Each kind of log defines how its
+    records follow one another.
 
-    ``only`` names the messages wanted, None wants all. Where the clock that gives records their times is known already,
-    it is not looked for in the log. A batch is of ``read_ahead_bytes`` of the log, decompressed.
+    ``only`` names the messages wanted, None wants all. If the clock that gives records their times is known already, it
+    is not searched for in the log. A batch is of ``read_ahead_bytes`` of the log, decompressed.
     """
 
     source: ClassVar[Source]
-    begins: ClassVar[bytes]  # what every log of its kind begins with, and has nowhere else
+    begins: ClassVar[bytes]  # first bytes of every log of its kind, which occur nowhere else
     head_bytes: ClassVar[int]  # least bytes of a record
-    fields_at: ClassVar[int]  # bytes that tell the kind of a record, behind which its fields begin
-    largest_bytes: ClassVar[int]  # most bytes of a record and of the head of the next one
-    padding_bytes: ClassVar[int] = -1  # what may be left at the end and is no damage
-    ends_anywhere: ClassVar[bool] = False  # whether a log that ends within a record is whole
-    fixes: ClassVar[Collection[str]]  # names of the records of receivers of satellites
-    fix_fields: ClassVar[Sequence[str]]  # names of their fields that :meth:`relation` takes
+    fields_at: ClassVar[int]  # bytes that identify the kind of a record, followed by its fields
+    largest_bytes: ClassVar[int]  # most bytes of a record and of the header of the next one
+    padding_bytes: ClassVar[int] = -1  # bytes that may be left at the end without damage
+    ends_anywhere: ClassVar[bool] = False  # whether a log that ends within a record is undamaged
+    fixes: ClassVar[Collection[str]]  # names of the records of satellite receivers
+    fix_fields: ClassVar[Sequence[str]]  # names of their fields that :meth:`relation` needs
 
     def __init__(
         self,
@@ -374,7 +377,7 @@ class OnboardLogReader(ABC):
         self._read_ahead_bytes = read_ahead_bytes
         self._clock = clock
         self._head_ns: int | None = None
-        # bytes of a record that begins like this, and its kind where it is wanted
+        # bytes of a record by its first bytes, and its kind if it is wanted
         self._heads: dict[bytes, tuple[int, RecordKind | None]] = {}
         self._records = self._unknown = self._damaged = self._skipped_bytes = 0
         self._broken_off = False
@@ -390,7 +393,7 @@ class OnboardLogReader(ABC):
         Raises
         ------
         TelemetryError
-            The file cannot be opened, is no such log, holds several of them, or needs a newer reader.
+            The file cannot be opened, is not such a log, holds several of them, or needs a newer reader.
         """
         window = Window(self._path, self._read_ahead_bytes)
         self._open(window)
@@ -410,7 +413,7 @@ class OnboardLogReader(ABC):
         self._skipped_bytes += window.left
 
     def _check_single(self, window: Window) -> None:
-        """Refuse a file in which another log begins: their clocks and formats are not the same."""
+        """Reject a file in which another log begins: their clocks and formats are not the same."""
         found = window.data.find(self.begins, max(window.index(1), 0))
         if found >= 0:
             at = window.offset + found - window.at
@@ -420,14 +423,14 @@ class OnboardLogReader(ABC):
             )
 
     def _log_clock(self) -> LogClock:
-        """Return the clock of the log; UTC minus time since boot from its first fix where that is not known."""
+        """Return the clock of the log; UTC minus time since boot is taken from its first fix if it is not known."""
         scan = StartScan()
         start = scan.found(type(self)(self._path, read_ahead_bytes=_SCANNED_BYTES, clock=scan), self._head_ns)
         fixes = type(self)(self._path, self.fixes, clock=LogClock(0, start))
         return LogClock(first_relation(fixes, self.fix_fields, self.relation) or 0, start)
 
     def _chain(self, window: Window, records: Records) -> None:
-        """Take the records that follow one another among the bytes held."""
+        """Add the consecutive records in the window's bytes."""
         data, at, known_by, size = window.data, window.at, self._heads.get, self.fields_at
         end = self._chain_end(window)
         add_start, add_kind = records.start.append, records.kind.append
@@ -462,27 +465,27 @@ class OnboardLogReader(ABC):
 
     @abstractmethod
     def _open(self, window: Window) -> None:
-        """Step over what is no record at the beginning; raise TelemetryError where the file is no such log."""
+        """Skip the file's header; raise TelemetryError if the file is not such a log."""
 
     @abstractmethod
     def _known(self, head: bytes) -> tuple[int, RecordKind | None] | None:
-        """Return the bytes of a record that begins like this, and its kind where it is wanted; None ends a chain.
+        """Return the bytes of a record by its first bytes, and its kind if it is wanted; None ends a chain.
 
-        It is asked again only after ``_heads`` was cleared.
+        The result is kept until ``_heads`` is cleared.
         """
 
     @abstractmethod
     def _single(self, window: Window, records: Records) -> bool:
-        """Go on from what ends a chain to where the next record is; return whether there may be any."""
+        """Continue from the end of a chain to the next record; return whether there may be any."""
 
     @abstractmethod
     def _standing(self, window: Window, searched: int) -> int | None:
-        """Return how many bytes ahead the next record begins that is one for certain."""
+        """Return how many bytes ahead the next certain record begins."""
 
     @staticmethod
     @abstractmethod
     def relation(boot_ns: int, *fields: int) -> int | None:
-        """Return UTC minus time since boot by a fix, None where it tells none: see :func:`first_relation`."""
+        """Return UTC minus time since boot from a fix, or None if it does not tell: see :func:`first_relation`."""
 
     def _skip(self, window: Window, count: int) -> None:
         taken = count if window.fill(count) else window.left
@@ -490,7 +493,7 @@ class OnboardLogReader(ABC):
         self._skipped_bytes += taken
 
     def _resume(self, window: Window, *, end: bool = False) -> bool:
-        """Move on to the next records and return whether there are any; with ``end``, stay where there are none."""
+        """Go to the next records and return whether there are any; with ``end``, stay if there are none."""
         while True:
             more = window.fill(_SEARCHED_AT_ONCE + self.largest_bytes)
             searched = _SEARCHED_AT_ONCE if more else window.left
@@ -509,10 +512,10 @@ class OnboardLogReader(ABC):
 
 
 def first_relation(batches: Iterable[Batch], fields: Sequence[str], relation: Callable[..., int | None]) -> int | None:
-    """Return UTC minus time since boot from the first record that tells it; None without one.
+    """Return UTC minus time since boot from the first record that tells it, or None if none does.
 
-    The batches are records of receivers of satellites, with their times since boot as times of arrival. ``relation``
-    takes that time and the named ``fields``, whole numbers, zero where a record has none.
+    The batches are records of satellite receivers, with their times since boot as times of arrival. ``relation`` gets
+    that time and the named ``fields``, whole numbers, zero for a missing one.
     """
     for batch in batches:
         for message in messages(batch):
@@ -524,9 +527,9 @@ def first_relation(batches: Iterable[Batch], fields: Sequence[str], relation: Ca
 
 
 def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> RecordLayout:
-    """Return a layout of fields, the numpy type of each and where it begins, and the bytes of a record.
+    """Return a layout of fields, from the numpy type and position of each, and the bytes of a record.
 
-    Of fields of the same name the last one counts.
+    Of fields of the same name the last one is used.
     """
     by_name = {entry.name: (entry, kind, at) for entry, kind, at in fields}
     dtype = np.dtype(
@@ -541,12 +544,12 @@ def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> RecordL
 
 
 def truth(values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return bytes as truth values: all but zero is true."""
+    """Return bytes as truth values: every byte except zero is true."""
     return np.asarray(values != 0)
 
 
 def record_text(data: bytes) -> str:
-    """Return bytes as text, as UTF-8 where they are that, else one character for each byte: nothing is lost."""
+    """Return bytes as text, as UTF-8 if they are valid, otherwise one character per byte: nothing is lost."""
     try:
         return data.decode()
     except UnicodeDecodeError:
@@ -554,5 +557,5 @@ def record_text(data: bytes) -> str:
 
 
 def texts(values: NDArray[np.bytes_]) -> list[str]:
-    """Return byte strings of fixed length as texts, without the zeros that fill them up."""
+    """Return byte strings of fixed length as texts, without the zeros that pad them."""
     return [record_text(value) for value in values.tolist()]

@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 RecordingKind = Literal["tlog", "mcap", "ulog", "dataflash"]
 
-# Under this key of its metadata an MCAP file that was converted from an onboard log says which kind that was.
+# Metadata key under which an MCAP file that was converted from an onboard log names the kind of log.
 ONBOARD_LOG = "onboard_log"
 
 ALARM_TOPIC = "/fauio/alarm_json"
@@ -38,7 +38,7 @@ _SCANNERS: Mapping[RecordingKind, tuple[str, str]] = {
     "ulog": ("adapters.logs.ulog", "UlogReader"),
     "dataflash": ("adapters.logs.dataflash", "DataflashReader"),
 }
-"""Readers of logs whose records are searched for one behind the other, imported where they are used."""
+"""Readers of logs that are searched record by record, imported when they are used."""
 _COMPRESSED = (".xz", ".gz")
 _SESSION_FILE = re.compile(r"(?P<vehicle>.+)-\d{8}T\d{6}Z-\d+", re.ASCII)
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
@@ -48,14 +48,14 @@ _BAG_FILE = re.compile(r"(?P<vehicle>.+)_(?P<number>\d{1,9})", re.ASCII)
 
 
 def recording_kind(path: str | os.PathLike[str]) -> RecordingKind:
-    """Return what kind of recording a file, or a folder of files, is.
+    """Return the kind of a recording, a file or a folder of files.
 
     Raises
     ------
     TelemetryError
-        The suffix is none of ``.tlog``, ``.mcap``, ``.ulg`` (PX4) and ``.bin`` (ArduPilot), plain or with ``.xz`` or
-        ``.gz`` behind; there is no such file, or what Git LFS has in its place; or a folder that is no recorded session
-        (:func:`session_files`).
+        The suffix is none of ``.tlog``, ``.mcap``, ``.ulg`` (PX4) and ``.bin`` (ArduPilot), plain or followed by
+        ``.xz`` or ``.gz``; there is no such file, or a pointer of Git LFS instead; or a folder that is not a recorded
+        session (:func:`session_files`).
     """
     file = Path(path)
     if file.is_dir():
@@ -77,7 +77,7 @@ def session_files(folder: str | os.PathLike[str]) -> list[Path]:
     """Return the files of a session that was recorded as ``<vehicle>-<UTC>-<number>.mcap``, in order.
 
     A folder with a single MCAP file of any name is a session too, and so is the folder of a ROS 2 bag
-    (``<name>_<number>.mcap`` beside ``metadata.yaml``). Empty files, begun in the moment of a crash, are passed over.
+    (``<name>_<number>.mcap`` beside ``metadata.yaml``). Empty files, which a crash at their begin leaves, are skipped.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def _files(path: str | os.PathLike[str]) -> list[Path]:
 class Recording:
     """The messages of a recording in the order they arrived, and then what of it could not be read.
 
-    Iterate over it once. A file of a session that holds nothing of its kind is passed over where others do.
+    Iterate over it once. A file of a session that holds nothing of its kind is skipped if others do.
 
     Parameters
     ----------
@@ -124,16 +124,15 @@ class Recording:
     only : Collection[str] | None
         Names of the messages wanted; None wants all.
     mapping : str | PathLike | None
-        TOML file that says for some messages from which records of an onboard log they come; the others, and all
-        where there is none, are guessed.
-
+        TOML file that names for some messages the records of an onboard log that fill them; without it, and for all
+        other messages, the records are chosen automatically.
     types : Collection[str]
         ROS 2 types whose topics are wanted beside ``only`` (:class:`adapters.logs.mcap_reader.MessageLogReader`).
 
     Raises
     ------
     TelemetryError
-        See :func:`recording_kind`; the mapping cannot be used; on iteration, where no file holds anything of its kind.
+        See :func:`recording_kind`; the mapping cannot be used; on iteration, if no file holds anything of its kind.
     """
 
     def __init__(
@@ -156,7 +155,7 @@ class Recording:
         return (message for batch in self.batches() for message in messages(batch))
 
     def batches(self, count: int = BATCH_MESSAGES) -> Iterator[Batch]:
-        """Return the messages, those of an onboard log (PX4, ArduPilot, or converted from one) as telemetry too.
+        """Return the messages; of an onboard log (PX4, ArduPilot, or converted from one) as telemetry too.
 
         ``count`` says how far to read ahead: about as many messages, wanted or not, of logs; as many wanted ones of
         MCAP files.
@@ -186,7 +185,7 @@ class Recording:
         return self._read(self._only, count)
 
     def entries(self) -> Iterator[Batch | Record]:
-        """Return what a copy is made of: records of MCAP with schema, bytes and times as they are, else messages."""
+        """Return the records for a copy: of MCAP with schema, bytes and times unchanged, otherwise messages."""
         if self._kind != "mcap":
             return self._read(self._only, BATCH_MESSAGES)
         from adapters.logs.mcap_reader import MessageLogReader
@@ -198,7 +197,7 @@ class Recording:
         return self._through((file, *_open(self._kind, file, only, count, self._types)) for file in self._files)
 
     def _through(self, opened: Iterable[tuple[Path, Iterable[T], Callable[[], Damage | None]]]) -> Iterator[T]:
-        """Yield what the files hold, one file after the other, and keep what of them could not be read."""
+        """Yield the contents of the files, one file after the other, and note what could not be read."""
         unread = 0
         for file, items, damage in opened:
             try:
@@ -220,7 +219,7 @@ class Recording:
 def _open(
     kind: RecordingKind, file: Path, only: Collection[str] | None, count: int, types: Collection[str] = ()
 ) -> tuple[Iterable[Batch], Callable[[], Damage | None]]:
-    """Return the batches of one file, and what says afterwards what of it is missing."""
+    """Return the batches of one file, and a function that reports afterwards what is missing."""
     if kind == "mcap":
         from adapters.logs.mcap_reader import MessageLogReader
 
@@ -232,13 +231,13 @@ def _open(
 
 
 def _tables(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | None) -> LogMapping | None:
-    """Return what an onboard log's records stand for, None where the recording is no onboard log."""
+    """Return the tables that translate an onboard log's records, or None if the recording is not an onboard log."""
     from adapters.logs.log_mapping import ONBOARD_SOURCES, builtin_mapping, read_mapping
 
     source = onboard_source(path)
     if mapping is None:
         return None if source is None else builtin_mapping(source)
-    tables = read_mapping(mapping, source or ONBOARD_SOURCES[0])  # its mistakes are told whatever the recording is
+    tables = read_mapping(mapping, source or ONBOARD_SOURCES[0])  # its mistakes are reported whatever the recording is
     return tables if source else None
 
 
@@ -266,7 +265,7 @@ def packed(source: Iterable[Message], count: int = BATCH_MESSAGES) -> Iterator[B
 
 
 def onboard_source(path: str | os.PathLike[str]) -> str | None:
-    """Return which onboard log a recording is or was converted from: ``"ulog"``, ``"dataflash"``, None for none."""
+    """Return which onboard log a recording is or was converted from: ``"ulog"``, ``"dataflash"``, or None."""
     kind = recording_kind(path)
     if kind in ("ulog", "dataflash"):
         return kind
@@ -275,7 +274,7 @@ def onboard_source(path: str | os.PathLike[str]) -> str | None:
 
 
 def recorded_alarms(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
-    """Return the alarm events that a monitor recorded, as JSON objects in their order; none where none did."""
+    """Return the alarm events that a monitor recorded, as JSON objects in their order; empty if there are none."""
     if recording_kind(path) != "mcap":
         return []
     from adapters.encoding.foreign_record import json_object
@@ -291,7 +290,7 @@ def recorded_alarms(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
 
 
 def recorded_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Return what a recording of ours says about itself ahead of its data; empty where others made it."""
+    """Return the metadata of our recordings that precede the data; empty for recordings of others."""
     if recording_kind(path) != "mcap":
         return {}
     from adapters.logs.mcap_reader import read_mcap_metadata
@@ -303,7 +302,7 @@ def recorded_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
 
 
 def recorded_vehicle(path: str | os.PathLike[str]) -> str | None:
-    """Return the name under which a monitor recorded its vehicle, None where no monitor made the recording."""
+    """Return the name under which a monitor recorded its vehicle, or None if no monitor made the recording."""
     return recorded_metadata(path).get("vehicle")
 
 
@@ -313,7 +312,7 @@ def _plain(file: Path) -> Path:
 
 
 def _vehicle(file: Path, name: re.Pattern[str]) -> str:
-    """Return whose session a file belongs to; one of another name is a session of its own."""
+    """Return the session of a file; a file of another name is a session of its own."""
     stem = _plain(file).stem
     match = name.fullmatch(stem)
     return match["vehicle"] if match else stem

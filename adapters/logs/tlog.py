@@ -1,4 +1,4 @@
-"""Telemetry logs (.tlog, plain or .xz / .gz): MAVLink packets, each behind its time of arrival.
+"""Telemetry logs (.tlog, plain or .xz / .gz): MAVLink packets, each after its time of arrival.
 
 A record is the Unix time in microseconds, eight bytes, big-endian, and one packet as it came from the link.
 """
@@ -22,12 +22,11 @@ READ_AHEAD_BYTES = 1 << 20
 
 
 class TlogReader:
-    """Reads a telemetry log in the order it was written, over damage if need be, as batches.
+    """Reads a telemetry log in the order it was written, also across damage, as batches.
 
-    Iterate over it, or over :meth:`packets`, once; :meth:`statistics` tells what was found. Messages with text are no
-    columns.
-
-    ``only`` names the messages wanted, None wants all; a batch is of ``read_ahead_bytes`` of the log, decompressed.
+    Iterate over it, or over :meth:`packets`, once; :meth:`statistics` returns the counts. Messages with text are not in
+    columns. ``only`` names the messages wanted, None wants all; a batch is of ``read_ahead_bytes`` of the log,
+    decompressed.
     """
 
     def __init__(
@@ -48,7 +47,7 @@ class TlogReader:
         return ScanStatistics(
             records=counts.intact + counts.unknown,
             unknown=counts.unknown,
-            # What is damaged up to the end is called broken off.
+            # Damage up to the end counts as broken off.
             damaged=counts.damaged - (counts.in_damage and self._broken_off is not None),
             skipped_bytes=counts.skipped_bytes + (counts.waiting if self._broken_off is not None else 0),
             broken_off=bool(self._broken_off),
@@ -60,14 +59,14 @@ class TlogReader:
         Raises
         ------
         TelemetryError
-            The file cannot be opened or holds no MAVLink packet at all.
+            The file cannot be opened or holds no MAVLink packet.
         """
         found = SequenceFindings()
         batches = (found.decoded(packets, self._wanted) for packets in self._packets(self._read_ahead_bytes))
         return (batch for batch in batches if batch.count)
 
     def packets(self) -> Iterator[tuple[int, bytes]]:
-        """Return time of arrival, nanoseconds, and bytes of the wanted packets; raises as iteration does."""
+        """Return time of arrival, nanoseconds, and bytes of the wanted packets; it raises the errors of iteration."""
         return chain.from_iterable(packets.items(wanted=self._wanted) for packets in self._packets(1))
 
     def _packets(self, least_bytes: int) -> Iterator[PacketList]:

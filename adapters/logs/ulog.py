@@ -1,7 +1,7 @@
-"""Onboard logs of PX4 (.ulg, plain or .xz / .gz): topics in the order they were logged, over damage if need be.
+"""Onboard logs of PX4 (.ulg, plain or .xz / .gz): topics in the order they were logged, also across damage.
 
 https://docs.px4.io/main/en/dev_log/ulog_file_format. The format has no checksums: damage shows only where a record is
-none of its kind. A format's text says where the fields of its records lie, nested types and arrays included.
+invalid. The text of a format gives the positions of the fields in its records, including nested types and arrays.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ _CODES = {
 }
 _TYPE = re.compile(r"(?P<type>\w+)(?:\[(?P<count>\d+)\])?", re.ASCII)
 _FIELD = re.compile(rf"{_TYPE.pattern} (?P<name>\w+)", re.ASCII)
-# Keys of information may hold anything but a blank: PX4 writes "perf_counter_preflight-00".
+# Keys of information may contain anything but a blank: PX4 writes "perf_counter_preflight-00".
 _KEYED = re.compile(rf"{_TYPE.pattern} (?P<name>\S+)", re.ASCII)
 _FORMAT = re.compile(r"(?P<name>[\w/\-]+):(?P<fields>.*)", re.ASCII)
 _LARGEST = 1 << 16
-"""Bytes of a record: its head has two for their number."""
+"""Most bytes of a record: its header has two for their number."""
 _DEEPEST = 16
-"""Types within types. Chosen: PX4 nests twice; a type that holds itself must come to an end somewhere."""
+"""Most levels of nested types. Chosen: PX4 nests twice; a type that contains itself has to be rejected."""
 _PADDING = "_padding"
 
 
@@ -67,16 +67,16 @@ class UlogField:
 
 @dataclass(frozen=True, slots=True)
 class UlogType:
-    """Where the fields of one topic lie."""
+    """Positions of the fields of one topic."""
 
-    layout: RecordLayout  # of a record without the padding at its end, which the logger may leave out
+    layout: RecordLayout  # bytes of a record without the padding at its end, which the logger may leave out
     size: int  # bytes of a record with it
 
 
 def parse_format(definition: bytes) -> tuple[str, tuple[UlogField, ...]]:
     """Return name and fields of a format definition, ``name:type field;type[count] field;``.
 
-    ValueError is raised where it is none.
+    ValueError is raised if it is invalid.
     """
     match = _FORMAT.fullmatch(definition.decode("ascii"))
     if match is None:
@@ -91,7 +91,7 @@ def parse_format(definition: bytes) -> tuple[str, tuple[UlogField, ...]]:
 
 
 def compile_type(name: str, formats: Mapping[str, tuple[UlogField, ...]]) -> UlogType:
-    """Return where the fields of a format lie.
+    """Return the positions of a format's fields.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def compile_type(name: str, formats: Mapping[str, tuple[UlogField, ...]]) -> Ulo
 def _fields(
     name: str, formats: Mapping[str, tuple[UlogField, ...]], depth: int
 ) -> tuple[list[tuple[LayoutField, np.dtype[Any], int]], int]:
-    """Return the fields of a format, the type of each and where it begins, and the bytes of all with their padding."""
+    """Return the fields of a format, the type and position of each, and the bytes of all with their padding."""
     if name not in formats or depth > _DEEPEST:
         raise ValueError(f"no format {name}")
     fields, at = [], 0
@@ -136,7 +136,7 @@ def _field(
     shape = () if field.count is None else (count,)
     code = _CODES.get(field.kind)
     if code is not None:
-        # any byte but zero is true, which numpy's own type is not made for
+        # any byte but zero is true, which numpy's own type does not support
         kind = "u1" if code == "?" else f"<{code}"
         return LayoutField(field.name, truth if code == "?" else None), np.dtype((kind, shape))
     fields, size = _fields(field.kind, formats, depth + 1)
@@ -149,7 +149,7 @@ def _field(
 
 
 def _nested(inner: RecordLayout, values: np.ndarray[Any, Any]) -> FieldValues:
-    """Return values of a nested type as mappings, or lists of mappings where there are several in a record."""
+    """Return values of a nested type as mappings, or lists of mappings if a record has several."""
     rows = inner.rows(values.reshape(-1))
     if values.ndim == 1:
         return rows
@@ -158,9 +158,9 @@ def _nested(inner: RecordLayout, values: np.ndarray[Any, Any]) -> FieldValues:
 
 
 def decode_keyed(data: bytes) -> tuple[str, str, Any]:
-    """Return name, type and value of an information or a parameter: length of ``type name``, that, the value.
+    """Return name, type and value of an information or a parameter: length of ``type name``, that text, the value.
 
-    ValueError is raised where the bytes are none.
+    ValueError is raised if the bytes are invalid.
     """
     length = data[0] if data else 0
     match = _KEYED.fullmatch(data[1 : 1 + length].decode("ascii"))
@@ -180,7 +180,7 @@ def decode_keyed(data: bytes) -> tuple[str, str, Any]:
     return name, match.group(0).rsplit(" ", 1)[0], values[0] if count is None else list(values)
 
 
-# Records that are no topics, under names that no topic has.
+# Names of records that are no topics; no topic has such a name.
 INFORMATION, PARAMETER, PARAMETER_DEFAULT = "log/information", "log/parameter", "log/parameter_default"
 TEXT, DROPOUT = "log/text", "log/dropout"
 GPS_TOPICS: Final = ("vehicle_gps_position", "sensor_gps")
@@ -193,30 +193,28 @@ _DATA_HEAD = struct.Struct("<HBH")
 _SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _FLAGS = struct.Struct("<8s8s3Q")
 _APPENDED = 1
-"""Of the incompatibility flags: data appended behind a crash dump, the only one that is defined."""
+"""Incompatibility flag for data appended after a crash dump, the only one that is defined."""
 _DATA = ord("D")
 _KINDS = frozenset(b"ABCDFILMOPQRS")
 _DEFINES = frozenset(b"ABFR")
-"""What other records are read by: without one of these nothing behind it is certain."""
+"""Records that define how others are read: if one is lost, nothing after it is certain."""
 _LARGEST_UNKNOWN = 10_000
-"""Bytes of a record of a kind yet unknown. Chosen: no kind known today but data and formats is larger; a longer one
-is more likely damage than news.
-"""
+"""Largest record of an unknown kind, bytes. Chosen: of the known kinds only data and formats are larger; a longer
+record is more likely damage than a new kind."""
 _CHAINED = 3
-"""Records of known kinds that must follow one of an unknown kind. 13 of 256 bytes are kinds: one stands behind
-garbage once in 20 times, three in a row once in 7,600.
-"""
+"""Records of known kinds that must follow one of an unknown kind. 13 of 256 bytes are kinds: one follows garbage by
+chance once in 20 times, three in a row once in 7,600."""
 _LEVELS = range(ord("0"), ord("8"))
-# Where reading may go on after damage: a topic's record or a mark for this very purpose.
+# Kinds of records at which reading may resume after damage: a topic's record, or a mark made for this purpose.
 _RESUMES = re.compile(rb"[DS]")
 _FIX_3D = 3
 _YEAR_2001_US = 1_000_000_000_000_000
-"""A receiver that does not know the time says 1970 or 1980."""
+"""Least valid time of a receiver: one that does not know the time reports 1970 or 1980."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Topic:
-    """What a number stands for: a topic's records, and how many bytes one has with head and number of the topic."""
+    """The meaning of a topic's number: the topic's records, and the bytes of one with its header and the number."""
 
     kind: RecordKind
     least: int
@@ -226,8 +224,8 @@ class _Topic:
 class UlogReader(OnboardLogReader):
     """Reads an onboard log of PX4.
 
-    Topics come under their names, ``sensor_baro/1`` being the second instance of one; information, parameters, text
-    and dropouts under ``log/...``. Time since boot is ``timestamp``, fixes are those of :data:`GPS_TOPICS`. See
+    Topics have the names of the log, ``sensor_baro/1`` being the second instance of one; information, parameters, text
+    and dropouts are under ``log/...``. Time since boot is ``timestamp``, fixes are those of :data:`GPS_TOPICS`. See
     :class:`OnboardLogReader`, whose parameters it takes.
     """
 
@@ -278,13 +276,13 @@ class UlogReader(OnboardLogReader):
         if self._appended and window.offset >= self._appended[0]:
             self._appended.pop(0)
         if self._appended and window.offset + length > self._appended[0]:
-            # the logger was stopped within a record; what was appended begins where it says
+            # the logger was stopped within a record; the appended data begins at its given offset
             self._skip(window, self._appended[0] - window.offset)
             return True
         if not window.fill(length):
             return self._resume(window, end=True)
         if kind == _DATA:
-            # the chain goes on where more bytes had to be read, or appended data begins
+            # the chain ended because more bytes had to be read, or because appended data begins
             return self._stands(window, 0) or self._resume(window)
         if kind not in self._take:
             if size == 0 or size > _LARGEST_UNKNOWN or not self._stands(window, length, _CHAINED):
@@ -300,7 +298,7 @@ class UlogReader(OnboardLogReader):
         except (ValueError, struct.error):
             if kind in _DEFINES or not self._stands(window, length, _CHAINED):
                 return self._resume(window)
-            # what it says cannot be read, but the log goes on behind it as if it were whole
+            # the record's content cannot be read, but its length is right: the log continues after it
             self._damaged += 1
             self._skip(window, length)
             return True
@@ -317,10 +315,10 @@ class UlogReader(OnboardLogReader):
         self._head_ns = min(_FILE_HEAD.unpack_from(window.data)[2] * 1_000, LATEST_NS)
 
     def _stands(self, window: Window, ahead: int, behind: int = 0) -> bool:
-        """Return whether a topic's record, or the end, is so many bytes ahead.
+        """Return whether a topic's record, or the end, is ``ahead`` bytes ahead.
 
-        A record of another known kind will do too, with so many such ``behind`` it: hardly more than one byte tells
-        those from garbage.
+        A record of another known kind is accepted if ``behind`` records of known kinds follow it: only little more than
+        one byte tells those from garbage.
         """
         if not window.fill(ahead + _HEAD.size):
             return window.left == ahead
@@ -334,7 +332,7 @@ class UlogReader(OnboardLogReader):
         return topic is not None and topic.least <= size <= topic.most
 
     def _standing(self, window: Window, searched: int) -> int | None:
-        # a topic's record with another behind it, or a mark
+        # a topic's record that is followed by another, or a mark
         start = window.at
         for match in _RESUMES.finditer(window.data, start + _HEAD.size, start + searched):
             ahead = match.start() - (_HEAD.size - 1) - start
@@ -348,7 +346,7 @@ class UlogReader(OnboardLogReader):
 
     @staticmethod
     def relation(boot_ns: int, *fields: int) -> int | None:
-        """Return UTC minus time since boot by a record of a receiver that had a fix."""
+        """Return UTC minus time since boot from a record of a receiver that had a fix."""
         utc_us, fix, relative_us = fields
         good = fix >= _FIX_3D and utc_us > _YEAR_2001_US
         return (utc_us - boot_ns // 1_000 - relative_us) * 1_000 if good else None
@@ -362,7 +360,7 @@ class UlogReader(OnboardLogReader):
             wanted = self._only is None or name in self._only
             self._kinds[name] = compiled, RecordKind(name, compiled.layout, wanted)
         compiled, kind = self._kinds[name]
-        # a record without any field is none
+        # a record without any field is invalid
         least = max(1, compiled.layout.dtype.itemsize)
         self._topics[number] = _Topic(kind, _ID.size + least, _ID.size + compiled.size)
         self._heads.clear()

@@ -1,7 +1,7 @@
-"""Who commands a vehicle in flight, and how often: the same rule for live telemetry, replays and reviews of logs.
+"""Commands to a vehicle in flight, their senders and their rate: the same rule live, in replays and in reviews of logs.
 
-MAVLink without signing obeys everybody. An attacker disarms, reboots, changes the mode, rewrites the mission or
-changes parameters; the vehicle does as it is told, and nothing fails.
+MAVLink without signing obeys everybody. An attacker disarms, reboots, changes the mode, rewrites the mission or changes
+parameters; the vehicle obeys, and no part fails.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from adapters.message import Message
 from adapters.source import MAVLINK
 
 FLOOD: Final = 50
-"""Commands within a second. Chosen: a ground station sends missions and parameters with an answer to each, some
-ten a second over a radio, some thirty over a wire."""
-# https://mavlink.io/en/messages/common.html and ardupilotmega.html: of messages, then of MAV_CMDs by their number.
+"""Commands within a second above which they are a flood. Chosen: a ground station sends missions and parameters with an
+answer to each, some ten a second over a radio, some thirty over a wire."""
+# Effects of messages by their name, and of MAV_CMDs by their number: https://mavlink.io/en/messages/common.html and
+# ardupilotmega.html.
 _RISKS = {
     "SET_MODE": "changes the mode",
     "FENCE_POINT": "rewrites the fence",
@@ -58,7 +59,7 @@ _RISKS = {
     "43001": "sends it elsewhere",
     "43002": "sends it elsewhere",
 }
-# The same where the first parameter has a value.
+# The same for a certain value of the first parameter.
 _RISKS_WITH = {
     ("207", 0.0): "switches the fence off",
     ("208", 2.0): "releases the parachute",
@@ -73,7 +74,7 @@ _ENDS = frozenset(
         "terminates the flight",
     }
 )  # fmt: skip
-# Messages that write plans, and which of their values is the plan's type; MAV_MISSION_TYPE.
+# Messages that write plans, and which of their values is the plan's type (MAV_MISSION_TYPE).
 _PLANS = {"MISSION_COUNT": 1, "MISSION_CLEAR_ALL": 0, "MISSION_WRITE_PARTIAL_LIST": 2}
 _PLAN_TYPES = {1: "rewrites the fence", 2: "rewrites the rally points"}
 _SETS_PARAMETERS = ("PARAM_SET", "PARAM_EXT_SET")
@@ -89,18 +90,21 @@ _STREAMS = {
     "SET_POSITION_TARGET_GLOBAL_INT": "sends it elsewhere",
     "SET_POSITION_TARGET_LOCAL_NED": "sends it elsewhere",
 }
-"""Messages that come as often as their sender likes: they are no flood, and one a second of each sender is followed."""
+"""Effects of messages that come as often as their sender likes: they do not count as a flood, and only one a second of
+each sender is processed."""
 _STREAM_NS = 1_000_000_000
-"""Chosen: as often as an alarm is updated."""
+"""Interval between processed messages of a stream. Chosen: as often as an alarm is updated."""
 _MOST_STREAMS = 64
-"""Names and targets of streams that are thinned, 0.5 MB each; messages of more are all followed. Chosen: all names
-for six vehicles; a monitor has one vehicle, a forged log may name 256."""
+"""Names and targets for which streams are thinned, 0.5 MB each; of further ones all messages are processed. Chosen: all
+names for six vehicles; a monitor has one vehicle, a forged log may name 256."""
 _FTP_OPCODE, _FTP_WRITES = 3, range(6, 14)
-"""Place of the opcode in its payload, and those from CreateFile to Rename: https://mavlink.io/en/services/ftp.html."""
+"""Index of the opcode in the payload, and the opcodes from CreateFile to Rename:
+https://mavlink.io/en/services/ftp.html."""
 _SERIAL_REPLY = 1
-"""SERIAL_CONTROL_FLAG_REPLY: the autopilot says what a port brought."""
+"""SERIAL_CONTROL_FLAG_REPLY: the autopilot reports the data of a port."""
 _GOES_THERE = (2, 3)
-"""MISSION_ITEM.current of ArduPilot's guided mode: fly there, climb to there. Otherwise it is a part of a mission."""
+"""MISSION_ITEM.current in ArduPilot's guided mode: fly there, climb to there. With other values the item is a part of a
+mission."""
 COMMANDS: Final = frozenset(
     {
         "COMMAND_LONG", "COMMAND_INT", *_SETS_PARAMETERS, *_PLANS, *_STREAMS,
@@ -109,11 +113,11 @@ COMMANDS: Final = frozenset(
 )  # fmt: skip
 """Names of the messages that command a vehicle."""
 _HARMLESS_PARAMETERS = ("CAM", "LOG_", "MNT", "NTF_", "OSD", "SDLOG_", "SR0_", "SR1_", "SR2_", "STAT_", "TRIG_")
-"""Begins of parameters of ArduPilot and PX4 that a flight does not depend on: logs, rates of telemetry, payload."""
+"""Prefixes of parameters of ArduPilot and PX4 on which a flight does not depend: logs, rates of telemetry, payload."""
 _MOST_SENDERS = 64
-"""Senders that are remembered. Chosen: more than ever command one vehicle; forged ids cost no memory beyond."""
+"""Most senders that are remembered. Chosen: more than ever command one vehicle; forged ids cost no further memory."""
 _MOST_RISKS = 5
-"""Chosen: what a sentence can hold."""
+"""Most effects in a finding's text. Chosen: as many as fit a sentence."""
 
 
 Weight = Literal["information", "warning", "critical"]
@@ -126,14 +130,14 @@ class CommandSent:
     time_s: float
     system: int
     component: int
-    name: str  # of the message, or the number of the MAV_CMD in it
+    name: str  # name of the message, or the number of the MAV_CMD in it
     values: tuple[float | str, ...] = ()
 
 
 def command_sent(
     name: str, fields: Mapping[str, Any], time_s: float, system: int, component: int, vehicle: int
 ) -> CommandSent | None:
-    """Return the command in a message to a vehicle's autopilot; None where it is none, or meant for another."""
+    """Return the command in a message to a vehicle's autopilot, or None if it has none or is meant for another."""
     if name not in COMMANDS or not _is_for(name, fields, vehicle):
         return None
     number = fields.get("command")
@@ -145,7 +149,7 @@ def command_sent(
 
 
 def _is_for(name: str, fields: Mapping[str, Any], vehicle: int | None) -> bool:
-    """Return whether a message commands a vehicle's autopilot (None: of any vehicle), by what it says."""
+    """Return whether a message commands a vehicle's autopilot (None: that of any vehicle), by its content."""
     if name == "SERIAL_CONTROL":
         return not _whole(fields.get("flags")) & _SERIAL_REPLY
     if vehicle is not None and _whole(fields.get(_target(name))) not in (0, vehicle):
@@ -168,7 +172,7 @@ def _whole(value: object) -> int:
 
 
 def commanded_systems(entry: Message | Columns) -> set[int]:
-    """Return the systems that a message (or columns) commands, 0 for all; none where it is no command."""
+    """Return the systems that a message (or columns) commands, 0 for all; an empty set if it is not a command."""
     if entry.name not in COMMANDS or entry.source is not MAVLINK:
         return set()
     if entry.name == "SERIAL_CONTROL":
@@ -180,14 +184,15 @@ def commanded_systems(entry: Message | Columns) -> set[int]:
 
 
 class StreamFilter:
-    """Leaves out what comes as a stream: it lets one message a second of each name, sender and target through."""
+    """Thins out streams: it passes one message a second of each name, sender and target."""
 
     def __init__(self) -> None:
-        # When the last one was let through by name and target, a place for each sender: they may be without end.
+        # Times of the last message passed, by name and target, one for each sender: the number of senders is not
+        # limited.
         self._last_ns: dict[tuple[str, int], NDArray[np.int64]] = {}
 
     def rows(self, entry: Columns, vehicle: int | None = None) -> Columns:
-        """Return the rows to follow, of those that command a vehicle's autopilot; all where they are no stream."""
+        """Return the rows to process of those that command a vehicle's autopilot, or all if they are no stream."""
         if entry.name not in _STREAMS:
             return entry
         keys = ("flags", "current", "payload", "target_component", _target(entry.name))
@@ -200,7 +205,7 @@ class StreamFilter:
         return rows_of(entry, np.array(rows, np.intp))
 
     def passes(self, message: Message, vehicle: int) -> bool:
-        """Return whether to follow a message."""
+        """Return whether to process a message."""
         return message.name not in _STREAMS or self._passes(message, message.fields, message.received_ns, vehicle)
 
     def _passes(self, entry: Message | Columns, fields: Mapping[str, Any], at_ns: int, vehicle: int | None) -> bool:
@@ -220,18 +225,18 @@ class StreamFilter:
 
 @dataclass(frozen=True, slots=True)
 class CommandFinding:
-    """What a command in flight shows."""
+    """A finding from commands in flight."""
 
-    sender: tuple[int, int] | None  # system and component of a new sender; None: too many commands, of any
-    weight: Weight  # information alone is no alarm
+    sender: tuple[int, int] | None  # system and component of a new sender; None: too many commands, from any senders
+    weight: Weight  # information alone raises no alarm
     text: str  # what happened since take-off, without a full stop
 
 
 def command_risk(name: str, values: Sequence[float | str]) -> str | None:
-    """Return in words what a message does to a vehicle in flight, None where it is harmless.
+    """Return the effect of a message on a vehicle in flight in words, or None if it is harmless.
 
-    ``name`` is the message's, or the number of the MAV_CMD in it; ``values`` are the parameters of a command, or the
-    name of the parameter that is set.
+    ``name`` is the message's name, or the number of the MAV_CMD in it; ``values`` are the parameters of a command, or
+    the name of the parameter that is set.
     """
     if name in _PLANS:
         plan = dict(enumerate(values)).get(_PLANS[name], 0)
@@ -245,29 +250,29 @@ def command_risk(name: str, values: Sequence[float | str]) -> str | None:
 
 
 def ends_flight(name: str, values: Sequence[float | str]) -> bool:
-    """Return whether a message brings a flying vehicle down, which nobody does by the way."""
+    """Return whether a message brings a flying vehicle down, which nobody does incidentally."""
     return command_risk(name, values) in _ENDS
 
 
 class CommandWatch:
-    """Who commanded a vehicle while it did not fly, and what those who did not do in flight.
+    """Remembers who commanded a vehicle while it did not fly, and the effects of commands from other senders in flight.
 
-    A risky command of a new sender is critical where others had commanded before; where nobody had (a vehicle armed by
-    its radio control, a monitor that started in flight) it is a warning if it ends the flight, else information.
+    A risky command of a new sender is critical if others had commanded before. If nobody had (a vehicle armed by its
+    radio control, a monitor that started in flight), it is a warning if it ends the flight, otherwise information.
 
-    ``known`` are system and component of who commanded it while it did not fly, ``most`` the most commands of any
-    second in flight.
+    ``known`` are system and component of the senders while it did not fly, ``most`` is the largest number of commands
+    within a second in flight.
     """
 
     def __init__(self) -> None:
         self.known: dict[tuple[int, int], None] = {}
         self.most = 0
-        self._risks: dict[tuple[int, int], list[str]] = {}  # what new senders did in flight
+        self._risks: dict[tuple[int, int], list[str]] = {}  # effects of commands from new senders in flight
         self._times_s: deque[float] = deque()
         self._flooded_s: float | None = None
 
     def follow(self, command: CommandSent, flying: bool) -> list[CommandFinding]:
-        """Take the next command; return what it shows, the same again where it is repeated."""
+        """Process the next command; return its findings, again for a repeated command."""
         sender = command.system, command.component
         if not flying:
             _remember(self.known, sender, None)
@@ -289,7 +294,7 @@ class CommandWatch:
             risks = []
             _remember(self._risks, sender, risks)
         if risk not in risks:
-            # the gravest are said first, and in any case
+            # commands that end the flight come first, so that they are never cut off
             risks.insert(0 if risk in _ENDS else len(risks), risk)
             del risks[_MOST_RISKS:]
         weight: Weight = "critical" if self.known else "warning" if risk in _ENDS else "information"
@@ -298,7 +303,7 @@ class CommandWatch:
         return CommandFinding(sender, weight, text)
 
     def _floods(self, now_s: float) -> bool:
-        """Return whether a command makes it too many within a second; true once a second at most."""
+        """Return whether this command exceeds the limit within a second; true at most once a second."""
         times_s = self._times_s
         if times_s and now_s < times_s[-1]:
             times_s.clear()
