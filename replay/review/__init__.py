@@ -1,1 +1,1 @@
-"""`fauio review`: what happened in a log, without a profile."""
+"""`fauio review`: find out what happened in a log, without a profile."""

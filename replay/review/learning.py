@@ -24,23 +24,23 @@ from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, 
 
 _KINDS = tuple(kind.name for kind in KINDS if kind.type_words)
 _LEARNED_S = 40.0
-"""Seconds of flight to learn from: motors are identified from 25 s of samples on, and an observer settles within 10.
-Measured on flights whose fault begins after 50 s: at 40 % of the flight in its place three of three were learned with
-the fault and missed, at 40 s none of fifteen was."""
+"""Flight to learn from, seconds: motors are identified from 25 s of samples on, and an observer settles within 10.
+Measured on flights whose fault begins after 50 s: learning from 40 % of the flight included the fault and missed it
+in three of three, learning from 40 s in none of fifteen."""
 _LEAST_HZ = 9.0
-"""Attitudes a second: logs of both autopilots have 10 and more. Measured on telemetry radios at 4 Hz: a gyro was named
-in two of seven healthy flights; at 15 Hz in none of three."""
+"""Lowest rate of the attitude: logs of both autopilots have 10 Hz and more. Measured on telemetry radios: at 4 Hz a
+gyro was named in two of seven healthy flights; at 15 Hz in none of three."""
 _LEAST_FLIGHT_S = 50.0
-"""Chosen: ten more to watch, twice as long as an alarm has to last."""
+"""Shortest flight that is learned from, seconds. Chosen: ten more to watch, twice as long as an alarm has to last."""
 
 _VELOCITIES = ("motion_", "gps_velocity_")
 _FASTEST_M_S = 70.0
-"""Twice the 35 m/s to which ArduPilot limits a copter (LOIT_SPEED): one that flies so one way while its GPS says the
-other. Measured on a flight of aerobatics, whose GPS was right: 101 and 127."""
+"""Largest possible error of a velocity: twice the 35 m/s to which ArduPilot limits a copter (LOIT_SPEED), for one that
+flies one way while its GPS reports the other. Measured on a flight of aerobatics with a correct GPS: 101 and 127."""
 
 
 def learned(path: Path, facts: LogFacts) -> LogFacts:
-    """Return facts with what the pipeline says of the whole log, or why it says nothing."""
+    """Return facts with the alarms of the learned profile over the whole log, or the reason why there are none."""
     start, end = max(facts.flight, key=lambda span: span[1] - span[0], default=(0.0, 0.0))
     if facts.vehicle not in _KINDS:
         kind = facts.vehicle or "one that the log does not name"
@@ -90,7 +90,8 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
         start_s = (span.start_ns - facts.start_ns) / 1e9
         end_s = facts.duration_s if span.end_ns is None else (span.end_ns - facts.start_ns) / 1e9
         if (seen := seen_s.get(span.observer)) is not None:
-            # it stands on without evidence (a plane too slow for its surfaces), and does not last by that
+            # an alarm stays active without evidence (a plane too slow for its surfaces), but does not count as lasting
+            # then
             end_s = float(np.max(seen[inside(seen, [(start_s, end_s)])], initial=start_s))
         typical = _typical(span)
         peak = max((abs(event.peak) for event in span.history if event.peak is not None), default=0.0)
@@ -105,7 +106,7 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
             share=peak / threshold,
             text=typical.message,
             size=abs(typical.estimate or 0.0),
-            # of a motor a share of its command is said wherever there can be one; gyros count as inputs, too
+            # an alarm of a motor gives a share of its command if that is possible; gyros count as inputs, too
             possible=abs(typical.estimate) < _FASTEST_M_S
             if span.channel.startswith(_VELOCITIES)
             else typical.relative is not None or not span.channel.startswith("motor"),
@@ -113,7 +114,7 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
 
 
 def _typical(span: AlarmSpan) -> AlarmEvent:
-    """Return what was said of an alarm when its estimate was in the middle of what it was meanwhile."""
+    """Return an alarm's event with the middle one of its estimates."""
     said = [event for event in span.history if event.state in ("raised", "updated")] or list(span.history)
     return sorted(said, key=lambda event: abs(event.estimate or 0.0))[len(said) // 2]
 

@@ -1,4 +1,4 @@
-"""The verdict on a log: what its findings are, which was first, and what could not be judged."""
+"""The verdict on a log: its findings, which one was first, and what could not be judged."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from replay.review.findings.rule import STAGES, Judgement, Rule, UnjudgedError
 from replay.review.rules import RULES
 
 _SAME_S: Final = 0.5
-"""Chosen: two things that close together are ordered by causes: the slower of what logs hold comes at 2 Hz."""
+"""Two findings within this time are ordered by causes, seconds. Chosen: the slower signals of logs come at 2 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReviewFinding:
-    """A judgement, the rule that made it, and where it comes: information alone has no rank."""
+    """A judgement, the rule that made it, and its rank in time: information alone has no rank."""
 
     rule: Rule
     judgement: Judgement
@@ -29,7 +29,7 @@ class ReviewFinding:
 
     @property
     def counter(self) -> tuple[str, ...]:
-        """What else looks so, and why it is not that."""
+        """Other causes that look the same, and why they are excluded."""
         return *self.rule.counter, *self.judgement.counter
 
 
@@ -40,13 +40,13 @@ class LogReview:
     log: Path
     facts: LogFacts
     findings: tuple[ReviewFinding, ...]
-    watched: tuple[str, ...]  # what was looked at and showed nothing
-    unjudged: Mapping[str, str]  # what could not be judged, and why
+    watched: tuple[str, ...]  # findings that were looked for and not there
+    unjudged: Mapping[str, str]  # findings that could not be judged, and why
     damage: tuple[Damage, ...] = ()
 
     @property
     def first(self) -> ReviewFinding | None:
-        """The first thing that stopped following."""
+        """The first finding: the first thing that stopped following."""
         return next((finding for finding in self.findings if finding.rank == "first"), None)
 
     @property
@@ -74,16 +74,16 @@ class LogReview:
 
     @property
     def wrong(self) -> bool:
-        """Whether anything was found that is more than information."""
+        """Whether there is a finding that is more than information."""
         return any(finding.judgement.weight != "information" for finding in self.findings)
 
     def reasons(self) -> Iterator[tuple[str, str]]:
-        """Yield what could not be judged, findings with the same reason together, and why."""
+        """Yield the findings that could not be judged, joined if they have the same reason, and the reason."""
         for why in dict.fromkeys(self.unjudged.values()):
             yield ", ".join(title for title, reason in self.unjudged.items() if reason == why), why
 
     def timeline(self) -> list[tuple[float, str, str]]:
-        """Return what the log states and what was found, in order: time, kind, text."""
+        """Return the statements of the log and the findings, in order: time, kind, text."""
         stated = [
             (statement.time_s, statement.kind, statement.text)
             for statement in self.facts.statements
@@ -112,12 +112,14 @@ class LogReview:
 
 
 def review_log(path: Path, *, learn: bool = True) -> LogReview:
-    """Return the verdict on a log; ``learn`` says whether to watch it with what its begin teaches, which takes seconds.
+    """Return the verdict on a log.
+
+    ``learn`` tells whether to watch the log with a profile learned from its begin, which takes seconds.
 
     Raises
     ------
     TelemetryError
-        It is no recording, or holds nothing that a vehicle says of itself.
+        The file is no recording, or the vehicle reports nothing in it.
     """
     facts, damage = read_facts(path)
     if learn:
@@ -130,7 +132,7 @@ def review_log(path: Path, *, learn: bool = True) -> LogReview:
 
 
 def judged(path: Path, facts: LogFacts, damage: Sequence[Damage] = ()) -> LogReview:
-    """Return the verdict on what a log states."""
+    """Return the verdict on the facts of a log."""
     found: list[tuple[Rule, Judgement]] = []
     watched: list[str] = []
     unjudged: dict[str, str] = {}
@@ -154,7 +156,7 @@ def judged(path: Path, facts: LogFacts, damage: Sequence[Damage] = ()) -> LogRev
 
 
 def _taught(facts: LogFacts, until_s: float) -> str:
-    """Return what was learned as healthy, with what a motor that is weak from the begin would show in."""
+    """Return a note on the begin, learned as healthy, with the commands that reveal a motor weak from the begin."""
     said = f"what began before {until_s:.0f} s was learned as the vehicle's own make"
     motors = facts.signal("motors")
     if not motors:
@@ -181,7 +183,7 @@ def _lacking(rule: Rule, facts: LogFacts) -> Iterator[str]:
 
 
 def _ordered(found: Sequence[tuple[Rule, Judgement]], facts: LogFacts) -> Iterator[ReviewFinding]:
-    """Yield findings by time; of those that begin together, causes first."""
+    """Yield findings by time; causes come first among findings that begin together."""
     by_time = sorted(found, key=lambda entry: entry[1].start_s)
     first = None
     heavy = [entry for entry in by_time if entry[1].weight != "information"]
@@ -198,7 +200,7 @@ def _ordered(found: Sequence[tuple[Rule, Judgement]], facts: LogFacts) -> Iterat
 
 
 def _same_s(facts: LogFacts, rule: Rule) -> float:
-    """Return within what time another thing may have come ahead of what a rule saw: two samples of its signals."""
+    """Return the time by which another finding may have begun earlier: two samples of the rule's signals."""
     slowest = max(
         (1.0 / max(facts.signals[name].rate_hz, 1e-9) for name in rule.needs if name != "watch"), default=_SAME_S
     )
@@ -222,9 +224,9 @@ def _finding_json(finding: ReviewFinding) -> dict[str, Any]:
 
 
 _QUIET = 5
-"""MAVLink's and syslog's severity of a notice: texts below it are of routine."""
+"""MAVLink's and syslog's severity of a notice: texts of lower severity are routine."""
 
 
 def _tells(statement: Statement) -> bool:
-    """Return whether a statement belongs into a time line."""
+    """Return whether a statement belongs in the time line."""
     return statement.kind != "text" or statement.level < _QUIET or "etected" in statement.text

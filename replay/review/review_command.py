@@ -1,4 +1,4 @@
-"""`fauio review`: what happened in a log, without a profile."""
+"""`fauio review`: find out what happened in a log, without a profile."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from replay.review.review import LogReview
 
 WRONG = 1
-"""Exit status where something is wrong with a vehicle, as linters have it; 2 is bad input as everywhere."""
+"""Exit status if something is wrong with a vehicle, as for linters; 2 is bad input, as for all commands."""
 
 
 def add_review(subparsers: Any) -> None:
@@ -70,7 +70,8 @@ def run_review(args: argparse.Namespace) -> int:
 
 
 _MOST_STATED = 40
-"""Entries of a time line that a screen holds beside the findings; the page and JSON have them all."""
+"""Entries of the time line that are printed: a screen holds them beside the findings. The page and JSON have them
+all."""
 
 
 def review_lines(review: LogReview) -> Iterator[str]:
@@ -85,7 +86,7 @@ def review_lines(review: LogReview) -> Iterator[str]:
         yield f"  [{mark}] {finding.judgement.start_s:.1f} s, {finding.rule.title} ({finding.judgement.confidence})"
         yield f"      {finding.judgement.text}"
         yield from (f"      evidence: {line}" for line in finding.judgement.evidence)
-        # what holds of all findings of a rule is said once
+        # other causes that the rule excludes for all of its findings are printed once
         counter = finding.judgement.counter if finding.rule.name in explained else finding.counter
         explained.add(finding.rule.name)
         yield from (f"      other causes: {line}" for line in counter)

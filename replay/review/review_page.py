@@ -1,4 +1,4 @@
-"""The verdict on a log as one HTML page with its evidence drawn, which loads nothing."""
+"""The verdict on a log as one HTML page with charts of its evidence, which loads nothing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from replay.reports.report_html import Html, element, facts, joined_html, page, 
 from replay.review.review import LogReview
 
 _BEFORE_S, _AFTER_S = 20.0, 15.0
-"""Seconds drawn about a finding. Chosen: what led to it is longer than what came of it."""
+"""Time that is drawn before and after a finding, seconds. Chosen: its causes take longer than its consequences."""
 
 _FIRST_DRONE_NS = 10**18
 """September 2001: an earlier date counts from a boot without a clock."""
@@ -51,7 +51,7 @@ def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
         yield element("p", f"Nothing: {why}.")
     for finding in review.findings:
         said = finding.judgement
-        # a condition of the whole flight shows over the whole
+        # a condition of the whole flight is drawn over the whole log
         window = said.start_s - _BEFORE_S, said.start_s + _AFTER_S
         start_s, end_s = window if said.event else (0.0, review.facts.duration_s)
         yield element(
@@ -94,7 +94,7 @@ def _damage(review: LogReview) -> Iterator[tuple[str, str]]:
 def _signals(
     review: LogReview, charts: Charts, names: tuple[str, ...], start_s: float, end_s: float, at_s: float | None = None
 ) -> Html:
-    """Return charts of the signals of some names between two times, one below the other."""
+    """Return charts of the named signals between two times, one below the other."""
     start_s, end_s = max(start_s, 0.0), min(end_s, review.facts.duration_s)
     shown = [(name, part) for name in names if (part := review.facts.signal(name).during(start_s, end_s))]
     if not shown:

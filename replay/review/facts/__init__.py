@@ -1,1 +1,1 @@
-"""What a log states, whoever wrote it."""
+"""The facts that a log states, for every kind of log."""

@@ -1,4 +1,4 @@
-"""What a log of ArduPilot states."""
+"""The facts that a log of ArduPilot states."""
 
 from __future__ import annotations
 
@@ -46,20 +46,21 @@ _SUBSYSTEMS = {
     26: "sensors failsafe", 29: "vibration failsafe", 30: "internal error",
 }  # fmt: skip
 _NO_FAILSAFE = frozenset({10, 13, 20, 22, 23})
-"""Of a mode that was refused, a flip, other aircraft, navigation and terrain: nothing of the vehicle's health."""
+"""Subsystems of errors about a refused mode, a flip, other aircraft, navigation and terrain: they tell nothing about
+the vehicle's health."""
 _VEHICLES = {"Copter": ("multirotor", 2), "Plane": ("plane", 1), "Rover": ("rover", 10)}
-"""By a word of what the log begins with: the vehicle, and a MAV_TYPE that has its modes."""
+"""By a word in the log's first texts: the kind of vehicle, and a MAV_TYPE with its modes."""
 _PWM_FROM, _PWM_TO = 1000.0, 2000.0
-"""MOT_PWM_MIN and MOT_PWM_MAX where the log does not say: their defaults."""
+"""Defaults of MOT_PWM_MIN and MOT_PWM_MAX, for logs without them."""
 _MOST_VOLTS = 100.0
-"""No vehicle flies on more: before version 3.3 logs have hundredths of volts and amperes."""
+"""Largest voltage of a vehicle: before version 3.3 logs have hundredths of volts and amperes."""
 _OUTPUTS = 14
 _OUTPUT_WORDS = ("C", "Ch", "Chan")
-"""What comes before an output's number: of today, before ArduPilot 3.4, before 3.2."""
+"""Words before an output's number: today's, those before ArduPilot 3.4, and those before 3.2."""
 
 
 def ardupilot_facts(records: LogRecords) -> LogFacts:
-    """Return what a log of ArduPilot states."""
+    """Return the facts that a log of ArduPilot states."""
     get = records.signal
     end_s = records.duration_s + 1e-3
     events = get("EV", ["Id"], ["event"], "")
@@ -68,12 +69,12 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
         (at, float(kind == _ARMED)) for at, kind in event if kind in (_ARMED, _DISARMED)
     ]
     if not arming or not arming[0][1]:
-        # a log that begins at arming
+        # the log begins at arming
         arming = [(0.0, 1.0), *arming]
     armed = state_spans(arming, end_s)
     landing = [(at, float(kind == _LANDED)) for at, kind in event if kind in (_LANDED, _IN_THE_AIR)]
     if landing and landing[0][1]:
-        # a log that begins in the air
+        # the log begins in the air
         landing = [(0.0, 0.0), *landing]
     texts = [(at, str(row.get("Message", ""))) for at, row in records.listed("MSG")]
     vehicle, kind = next((known for _, text in texts for word, known in _VEHICLES.items() if word in text), ("", 0))
@@ -92,7 +93,7 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     kalman = "XKF" if ("XKF4", 0) in set(records.names()) else "NKF"
     signals["height_estimate"] = get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0).above_begin()
     signals["position_apart"] = _position_apart(records, kalman, texts)
-    # planes do not log when they take off
+    # planes do not log their take-off
     received = get("GPS", ["Alt"], ["receiver"], "m").above_begin()
     lifted = off_ground(armed, signals["height"], received)
     air = state_spans(landing, end_s, state=False) if landing else lifted
@@ -129,9 +130,9 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
 def output_commands(
     records: LogRecords, armed: Spans, outputs: Callable[[Sequence[int], Sequence[str]], LogSignal], first: int
 ) -> LogSignal:
-    """Return the commands of the outputs that the parameters say are motors, else of the first ones where all move.
+    """Return the commands of the outputs that are motors by the parameters; else of the first outputs if all move.
 
-    ``outputs`` returns the pulses of some outputs by their numbers, under some names.
+    ``outputs`` returns the pulses of outputs with these numbers, under these names.
     """
     said = {k: records.parameters.get(f"SERVO{k}_FUNCTION") for k in range(1, _OUTPUTS + 1)}
     motors = {k: MOTOR_FUNCTIONS[int(function)] for k, function in said.items() if function in MOTOR_FUNCTIONS}
@@ -146,41 +147,41 @@ def output_commands(
 
 
 def _outputs(records: LogRecords, numbers: Sequence[int], names: Sequence[str]) -> LogSignal:
-    """Return some outputs, whatever the version of the autopilot calls them."""
+    """Return some outputs, by the names that the autopilot's version uses."""
     known = (records.signal("RCOU", [f"{word}{k}" for k in numbers], names, "us") for word in _OUTPUT_WORDS)
     return first_known(*known)
 
 
 def _wanted(records: LogRecords) -> Iterator[list[str]]:
-    """Yield what attitudes that are wanted may be called."""
+    """Yield the possible names of the wanted attitude's fields."""
     yield ["DesRoll", "DesPitch", "DesYaw"]
-    # before 3.2; its acro mode put sticks there
+    # before 3.2; in acro mode they held the sticks
     modes = (records.signal("MODE", [column], ["mode"], "").only for column in ("ModeNum", "Mode"))
     if not any((numbers == _ACRO).any() for numbers in modes):
         yield ["RollIn", "PitchIn", "NavYaw"]
 
 
 _ACRO = 1
-"""Mode of a copter: https://github.com/ArduPilot/ardupilot/blob/master/ArduCopter/mode.h."""
+"""Acro mode of a copter: https://github.com/ArduPilot/ardupilot/blob/master/ArduCopter/mode.h."""
 
 
 def _throttle(records: LogRecords) -> LogSignal:
-    """Return the throttle that a copter gave all its motors, 0 to 1."""
+    """Return the throttle of a copter that applies to all its motors, 0 to 1."""
     names = ("ThO", "ThrOut")
     throttle = first_known(*(records.signal("CTUN", [name], ["throttle"], "of full") for name in names))
-    # before 3.4 in thousandths
+    # before 3.4 it is in thousandths
     thousandths = np.nanmax(throttle.only, initial=0.0) > _MOST_SHARE
     return replace(throttle, values=throttle.values / (1000.0 if thousandths else 1.0))
 
 
 _MOST_SHARE = 2.0
-"""More than a share of full command ever is, less than any thousandths of a flight are."""
+"""A share of full command is always smaller, and a flight's throttle in thousandths always larger."""
 
 
 def _position_apart(records: LogRecords, kalman: str, texts: Sequence[tuple[float, str]]) -> LogSignal:
-    """Return how far the position that the controller flies by is from the nearest of those that lanes estimate.
+    """Return the distance of the controller's position from the nearest position that a lane estimates.
 
-    Before 4.0 ArduPilot logged the controller's in centimetres under the same name.
+    Before 4.0 ArduPilot logged the controller's position in centimetres under the same name.
     """
     north, east = (
         first_known(*(records.signal(name, [field], ["apart"], "m") for name, field in known))
@@ -197,7 +198,7 @@ def _position_apart(records: LogRecords, kalman: str, texts: Sequence[tuple[floa
 
 
 def _rpm(records: LogRecords) -> LogSignal:
-    """Return the speeds of the ESCs on the times of the first of them."""
+    """Return the speeds of the ESCs at the times of the first ESC."""
     speeds = [records.signal(name, ["RPM"], ["rpm"], "rpm") for name in ("ESC", *(f"ESC/{k}" for k in range(1, 12)))]
     known = [(k, speed) for k, speed in enumerate(speeds) if (speed.only > 0).any()]
     if not known:

@@ -1,4 +1,4 @@
-"""What a log states, whoever wrote it: the quantities that findings compare, on the log's own clock."""
+"""The facts that a log states: the signals that findings compare, on the log's own clock, for every kind of log."""
 
 from __future__ import annotations
 
@@ -18,39 +18,39 @@ from monitor.vehicles.kinds import KINDS
 
 Floats = NDArray[np.float64]
 Changes = Sequence[tuple[float, float]]
-"""When a value changed, and to what."""
+"""Times at which a value changed, and the new values."""
 Spans = Sequence[tuple[float, float]]
-"""From when to when something was so, in order."""
+"""Begins and ends of a state, in order."""
 ANGLES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogSignal:
-    """Quantities over time; false where there are no values."""
+    """A signal: quantities over time; false if it has no values."""
 
     time_s: Floats  # seconds since the log's begin, ascending (n,)
-    values: Floats  # a column for each name (n, k); NaN where nothing is known
-    names: tuple[str, ...]  # what the columns are
+    values: Floats  # a column for each name (n, k); NaN: unknown
+    names: tuple[str, ...]  # names of the columns
     unit: str
-    origin: str  # the record they come from, as the log calls it
+    origin: str  # name of its record in the log
 
     def __bool__(self) -> bool:
         """Return whether there are values."""
         return len(self.time_s) > 0
 
     def during(self, start_s: float, end_s: float) -> LogSignal:
-        """Return the part from a time on and before another."""
+        """Return the part from one time on and before another."""
         part = slice(*np.searchsorted(self.time_s, (start_s, end_s)))
         return replace(self, time_s=self.time_s[part], values=self.values[part])
 
     def at(self, times_s: Floats) -> Floats:
-        """Return the values last known at m times (m, k), NaN ahead of the first."""
+        """Return the last known values at m times (m, k), NaN before the first."""
         unknown = np.full((1, self.values.shape[1]), np.nan)
         return np.concatenate([unknown, self.values])[np.searchsorted(self.time_s, times_s, side="right")]
 
     @property
     def rate_hz(self) -> float:
-        """How often it usually comes."""
+        """Its usual rate."""
         return float(1.0 / max(np.median(np.diff(self.time_s)), 1e-9)) if len(self.time_s) > 1 else 0.0
 
     @property
@@ -59,13 +59,16 @@ class LogSignal:
         return np.asarray(self.values[:, 0], np.float64)
 
     def changes(self, of: Callable[[Floats], NDArray[Any]] = np.asarray) -> list[tuple[float, float]]:
-        """Return when what a function says of the first column changed and to what, its first value among them."""
+        """Return the times at which a function of the first column changed, with its new values.
+
+        The first value is included.
+        """
         values = of(self.only)
         new = np.concatenate([[True], values[1:] != values[:-1]])[: len(values)]
         return [(float(self.time_s[row]), float(values[row])) for row in np.flatnonzero(new)]
 
     def each_sample(self, name: str, of: Callable[..., Floats]) -> LogSignal:
-        """Return one column of several: of each sample what ``of`` (``np.max``, ``np.sum``) says."""
+        """Return one column of several: ``of`` (``np.max``, ``np.sum``) of each sample."""
         return replace(self, values=of(self.values, axis=1, keepdims=True), names=(name,))
 
     def above_begin(self) -> LogSignal:
@@ -82,45 +85,45 @@ class LogSignal:
         return replace(self, values=np.degrees(np.stack([roll, pitch, yaw], axis=1)), names=ANGLES, unit="deg")
 
     def way(self) -> LogSignal:
-        """Return the way north and east (m) of latitude, longitude (degrees or 1e-7 of one), kind of fix."""
+        """Return the path north and east (m) from latitude, longitude (degrees or 1e-7 of one) and kind of fix."""
         degrees = self.values[:, :2]
         degrees = degrees * np.where(np.nanmax(np.abs(degrees), initial=0.0) > _MOST_DEGREES, 1e-7, 1.0)
         known = np.isfinite(degrees).all(axis=1) & (self.values[:, 2] >= FIX_3D)
         degrees = degrees[known]
         off = degrees - degrees[:1]
-        # across the date line the short way
+        # the shorter way across the date line
         off[:, 1] = (off[:, 1] + 180.0) % 360.0 - 180.0
         metres = _DEGREE_M * off * [1.0, np.cos(np.radians(degrees[0, 0])) if known.any() else 1.0]
         return replace(self, time_s=self.time_s[known], values=metres, names=("north", "east"), unit="m")
 
     def climb(self) -> LogSignal:
-        """Return the speed up (m/s) of a receiver's speed down and kind of fix."""
+        """Return the vertical speed upwards (m/s) from a receiver's speed downwards and kind of fix."""
         known = self.values[:, -1] >= FIX_3D
         return replace(self, time_s=self.time_s[known], values=-self.values[known, :1], names=("climb",), unit="m/s")
 
 
 NO_SIGNAL = LogSignal(np.empty(0), np.empty((0, 1)), ("",), "", "")
-"""What a log does not hold: a signal of one column without a row."""
+"""A signal that the log does not have: one column without a row."""
 UNKNOWN_LEVEL = 8
-"""Of a text in a log that does not say how severe it is; MAVLink's severities end with 7."""
+"""Severity of a text in a log without severities; MAVLink's end with 7."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """What the log says happened at a time: a text, a mode, a failsafe."""
+    """An event that the log states at a time: a text, a mode, a failsafe."""
 
     time_s: float
     kind: str  # text, mode, arming, landing, failsafe, command
     text: str
-    # of a text: MAVLink's severity, or UNKNOWN_LEVEL; of a state: 1 where it begins, 0 where it ends
+    # of a text: MAVLink's severity, or UNKNOWN_LEVEL; of a state: 1: it begins, 0: it ends
     level: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class LearnedAlarm:
-    """An alarm of a profile learned from the flight itself: its typical size, and its peak over its threshold.
+    """An alarm of a profile learned from the flight itself: its typical size, and its peak relative to its threshold.
 
-    ``possible`` says whether an actuator can lack as much as that size says.
+    ``possible`` tells whether an actuator can lose as much as that size.
     """
 
     start_s: float
@@ -135,7 +138,7 @@ class LearnedAlarm:
 
 @dataclass(frozen=True, slots=True)
 class LearnedWatch:
-    """What a profile learned from the flight until a time says of the rest."""
+    """Results for the rest of the flight of a profile learned until a time."""
 
     until_s: float
     alarms: tuple[LearnedAlarm, ...]
@@ -143,25 +146,26 @@ class LearnedWatch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogFacts:
-    """What findings judge by."""
+    """The facts by which findings are judged."""
 
-    # PX4 or ArduPilot, multirotor or another word; empty where the log does not say
+    # PX4 or ArduPilot; multirotor or another word; empty if the log does not state it
     autopilot: str
     vehicle: str
-    start_ns: int  # Unix time of the log's begin as it says it
+    start_ns: int  # Unix time of the log's begin, by its own clock
     duration_s: float  # from its first to its last record
-    # when the vehicle was armed, and when it was off the ground as far as the log's own landing detector goes
+    # when the vehicle was armed, and when it was in flight by the log's own landing detector
     armed: tuple[tuple[float, float], ...]
     flight: tuple[tuple[float, float], ...]
-    signals: Mapping[str, LogSignal]  # those that the log has, by the names of SIGNALS
+    signals: Mapping[str, LogSignal]  # signals that the log has, by the names of SIGNALS
     statements: tuple[Statement, ...] = ()  # in order
     commands: tuple[CommandSent, ...] = ()  # in order
-    parameters: Mapping[str, float] = field(default_factory=dict)  # of the autopilot, as the log began
-    lacks: Mapping[str, str] = field(default_factory=dict)  # why a signal is not there or says nothing, by its name
-    watch: LearnedWatch | None = None  # what a profile learned from the flight's own begin says of the rest
+    parameters: Mapping[str, float] = field(default_factory=dict)  # parameters of the autopilot at the log's begin
+    # reason why a signal is missing or tells nothing, by its name
+    lacks: Mapping[str, str] = field(default_factory=dict)
+    watch: LearnedWatch | None = None  # results of a profile learned from the flight's own begin
 
     def signal(self, name: str) -> LogSignal:
-        """Return a signal, one without a row where the log does not have it."""
+        """Return a signal, one without a row if the log does not have it."""
         return self.signals.get(name, NO_SIGNAL)
 
     @property
@@ -175,12 +179,12 @@ class LogFacts:
 
     @property
     def flight_s(self) -> float:
-        """How long it flew."""
+        """Duration of its flight."""
         return sum(end - start for start, end in self.flight)
 
     @property
     def flight_text(self) -> str:
-        """How long it flew, or of what does not fly, was armed."""
+        """Duration of its flight, or for a vehicle that does not fly, of the time armed."""
         return f"{self.flight_s:.0f} s {'of flight' if self.flies else 'armed'}"
 
 
@@ -207,16 +211,16 @@ SIGNALS: Mapping[str, str] = {
     "watch": "a profile learned from the flight's own begin",
     "clipping": "count of clipped accelerometer samples",
 }
-"""The quantities that findings know, and what they are."""
+"""The signals that findings know, with a description."""
 
 
 def first_known(*signals: LogSignal) -> LogSignal:
-    """Return the first signal with values, the last where none has."""
+    """Return the first signal with values, the last one if none has any."""
     return next(filter(None, signals), signals[-1])
 
 
 def inside(time_s: Floats, spans: Iterable[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Return which of n times are in one of some spans (n,)."""
+    """Return which of n times are in one of the spans (n,)."""
     within = np.zeros(len(time_s), np.bool_)
     for start, end in spans:
         within |= (time_s >= start) & (time_s < end)
@@ -224,9 +228,9 @@ def inside(time_s: Floats, spans: Iterable[tuple[float, float]]) -> NDArray[np.b
 
 
 def spans_where(time_s: Floats, holds: NDArray[np.bool_], least_s: float = 0.0) -> list[tuple[float, float]]:
-    """Return from when to when a condition held for n samples without a break, where that is long enough.
+    """Return the spans in which a condition, given for n samples, held without a break, if they are long enough.
 
-    One sample alone does not say how long.
+    A single sample has no duration.
     """
     if not len(time_s):
         return []
@@ -238,9 +242,9 @@ def spans_where(time_s: Floats, holds: NDArray[np.bool_], least_s: float = 0.0) 
 
 
 def off_ground(armed: Spans, height: LogSignal, receiver: LogSignal = NO_SIGNAL) -> list[tuple[float, float]]:
-    """Return when a vehicle flew whose log does not say it, by its height above where it armed.
+    """Return when a vehicle was in flight by its height above the place of arming, if the log does not state it.
 
-    That of its ``receiver`` counts where there is no other.
+    The height of its ``receiver`` is used if there is no other.
     """
     known, lifted = (height, _LIFTED) if height or not receiver else (receiver, _LIFTED_BY_GPS)
     spans: list[tuple[float, float]] = []
@@ -253,7 +257,7 @@ def off_ground(armed: Spans, height: LogSignal, receiver: LogSignal = NO_SIGNAL)
 
 
 def flown(facts: LogFacts) -> list[tuple[float, float]]:
-    """Return the parts of a flight in which a vehicle did not stand on the ground, whatever the log says."""
+    """Return the parts of a flight in which the vehicle did not stand on the ground, whatever the log states."""
     flight = list(facts.flight)
     for standing in (_idle(facts.signal("motors")), _unmoved(facts)):
         edges = [(-np.inf, 1.0), *(edge for start, end in standing for edge in ((start, 0.0), (end, 1.0)))]
@@ -262,7 +266,7 @@ def flown(facts: LogFacts) -> list[tuple[float, float]]:
 
 
 def _idle(motors: LogSignal) -> list[tuple[float, float]]:
-    """Return when all motors of a multirotor idled alike."""
+    """Return when all motors of a multirotor idled with the same command."""
     if len(motors.names) < _FEWEST_ROTORS:
         return []
     idle = (np.ptp(motors.values, axis=1) < _ALIKE) & (motors.values.max(axis=1) < _IDLE_COMMAND)
@@ -270,9 +274,9 @@ def _idle(motors: LogSignal) -> list[tuple[float, float]]:
 
 
 def _unmoved(facts: LogFacts) -> list[tuple[float, float]]:
-    """Return when a vehicle was to turn by much and did not turn at all, as only the ground holds one."""
+    """Return when a vehicle had to turn far and did not turn at all, which happens only on the ground."""
     attitude, wanted = facts.signal("attitude"), facts.signal("attitude_wanted")
-    # samples of its own, and no grid of times: one damaged stamp would make that endless
+    # windows of samples instead of a grid of times: one damaged stamp would make the grid endless
     samples, every = round(_STANDS_S / _STEP_S), max(1, round(_STEP_S * attitude.rate_hz))
     if not wanted or len(attitude.time_s) < samples * every:
         return []
@@ -284,7 +288,7 @@ def _unmoved(facts: LogFacts) -> list[tuple[float, float]]:
 
 
 def degrees_apart(first: Floats, second: Floats) -> Floats:
-    """Return how far angles are apart by the shorter way round: at half a turn roll goes on from +180 to -180."""
+    """Return the differences of angles by the shorter way round: at half a turn roll jumps from +180 to -180."""
     return np.asarray(np.abs((first - second + 180.0) % 360.0 - 180.0))
 
 
@@ -324,7 +328,7 @@ class LogRecords:
             self._keep(self.first_ns, last_ns)
 
     def _keep(self, first_ns: int, last_ns: int) -> None:
-        """Leave out what is stamped before a time or after another."""
+        """Leave out the records stamped before the first or after the last time."""
         for entries in self.rows.values():
             entries[:] = [entry for entry in entries if first_ns <= entry[0] <= last_ns]
         for parts in self._columns.values():
@@ -337,15 +341,15 @@ class LogRecords:
         return (time_ns - self.first_ns) / 1e9
 
     def names(self) -> Iterator[tuple[str, int]]:
-        """Yield the names and systems of what the log has."""
+        """Yield the names and systems of the log's records."""
         yield from {**dict.fromkeys(self._columns), **dict.fromkeys(self.rows)}
 
     def signal(
         self, name: str, columns: Sequence[str], names: Sequence[str], unit: str, scale: float = 1.0, system: int = 0
     ) -> LogSignal:
-        """Return fields of a record as a signal, without values where the log has no such record or field.
+        """Return fields of a record as a signal, without values if the log has no such record or field.
 
-        ``columns`` are names of fields, with ``[k]`` behind for an element of a list.
+        ``columns`` are names of fields, followed by ``[k]`` for an element of a list.
         """
         parts = self._columns.get((name, system), [])
         taken: list[tuple[NDArray[np.int64], Floats]] = []
@@ -359,13 +363,13 @@ class LogRecords:
         return LogSignal((times[order] - self.first_ns) / 1e9, values_of, tuple(names), unit, name)
 
     def listed(self, name: str, system: int = 0) -> list[tuple[float, Mapping[str, Any]]]:
-        """Return a record's fields one by one, with the time of each, in order."""
+        """Return a record's fields row by row, with the time of each row, in order."""
         rows = sorted(((at, row) for at, _, row in self.rows.get((name, system), [])), key=lambda entry: entry[0])
         return [(self.time_s(at), row) for at, row in rows]
 
 
 ROWS = COMMANDS | {"vehicle_command", "MAVC"}
-"""Records that are kept one by one beside their columns."""
+"""Records that are also kept row by row, beside their columns."""
 
 
 def _column(fields: Mapping[str, NDArray[Any]], place: str) -> Floats | None:
@@ -382,7 +386,7 @@ def _column(fields: Mapping[str, NDArray[Any]], place: str) -> Floats | None:
 
 
 def state_statements(arming: Changes, landing: Changes) -> Iterator[Statement]:
-    """Yield what a log states of arming and landing, of when either changed."""
+    """Yield the log's statements about arming and landing, from the changes of either."""
     for kind, entries, words in (
         ("arming", arming, ("disarmed", "armed")),
         ("landing", landing, ("in the air", "landed")),
@@ -392,7 +396,7 @@ def state_statements(arming: Changes, landing: Changes) -> Iterator[Statement]:
 
 
 def state_spans(edges: Changes, end_s: float, state: bool = True) -> list[tuple[float, float]]:
-    """Return from when to when a state held, of when it changed and to what, until the log's end."""
+    """Return the spans in which a state held, from its changes, until the log's end."""
     spans: list[tuple[float, float]] = []
     for (time_s, value), (next_s, _) in pairwise([*edges, (end_s, not state)]):
         holds = bool(value) is state
@@ -404,38 +408,45 @@ def state_spans(edges: Changes, end_s: float, state: bool = True) -> list[tuple[
 
 
 def overlap(first: Iterable[tuple[float, float]], second: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return where spans of both kinds are at once."""
+    """Return the spans in which spans of both kinds overlap."""
     parts = ((max(a, c), min(b, d)) for a, b in first for c, d in second)
     return [(start, end) for start, end in parts if start < end]
 
 
 _APART_NS = 86_400_000_000_000
-"""A day: no vehicle flies as long unheard. A stamp that is as far from the others is damaged, of a clock that was set,
-or of another day's recording in the same file."""
+"""Largest gap between stamps, a day: no vehicle flies that long without a record. Stamps further apart are damaged, of
+a clock that was set, or of another day's recording in the same file."""
 _FEWEST_ROTORS = 3
-"""Rotors of a multirotor, at least: of fewer outputs that are alike nothing follows."""
+"""Fewest rotors of a multirotor: fewer outputs that are equal prove nothing."""
 _ALIKE = 0.005
-"""Of full command: half a step of 8 bits. Motors that carry a vehicle differ by what its controllers ask."""
+"""Largest difference of equal commands, of full command: half a step of 8 bits. The controllers' demands make the
+commands differ while the motors carry a vehicle."""
 _IDLE_COMMAND = 0.15
-"""Share of full command: motors idle at 0.05 to 0.13. Strong vehicles hover there, but never with all motors alike."""
+"""Largest command of idle motors, of full command: motors idle at 0.05 to 0.13. Strong vehicles hover there, but never
+with all motors equal."""
 _HOP_S = 1.0
-"""Chosen: what is shorter is a report that was taken back, or a touch of the throttle."""
+"""Shortest flight, seconds. Chosen: a shorter one is a withdrawn report, or a touch of the throttle."""
 _STANDS_S = 3.0
-"""Time in which a vehicle without thrust falls 44 m: who lets all motors idle that long stands on the ground."""
+"""Shortest stand on the ground, seconds: a vehicle without thrust falls 44 m in it, so if all motors idle that long, it
+stands on the ground."""
 _STEP_S = 0.2
-"""Chosen: half as often as logs hold the attitude."""
+"""Step of the checked attitudes, seconds. Chosen: half as often as logs hold the attitude."""
 _STILL_DEG, _ASKED_DEG = 1.0, 10.0
-"""Chosen: what flies is never as still for 3 s while ten times as much is asked of it; what is held by the ground is.
-Measured on flights of a simulator that met the ground with wrong positions: 0.3 degrees, of 30 asked."""
+"""Largest motion of a vehicle that is held, and smallest demand meanwhile, degrees. Chosen: a flying vehicle is never
+that still for 3 s while ten times as much is demanded; one held by the ground is. Measured on flights of a simulator
+that met the ground with wrong positions: 0.3 degrees, 30 demanded."""
 _LIFTED = 1.0
-"""Metres above where it armed from which a vehicle flies that does not say it. Chosen: twice a barometer's drift."""
+"""Smallest height of flight above the place of arming, metres, if the log does not state flight. Chosen: twice a
+barometer's drift."""
 _LIFTED_BY_GPS = 15.0
-"""Metres: GPS heights of a receiver that stands drift by some; three times its horizontal 5 m."""
+"""The same by GPS, metres: heights of a receiver that does not move drift by some metres; three times its horizontal 5
+m."""
 _DEGREE_M = 111_195.0
-"""Metres of a degree on a sphere of the Earth's mean radius, 6371 km: 0.3 % off at most, on a map."""
+"""Metres per degree on a sphere of the Earth's mean radius, 6371 km: the error on a map is 0.3 % at most."""
 FIX_3D = 3
-"""A fix in three dimensions: MAVLink's GPS_FIX_TYPE, PX4 and ArduPilot count alike."""
+"""A fix in three dimensions: MAVLink's GPS_FIX_TYPE, which PX4 and ArduPilot use, too."""
 _MOST_DEGREES = 360.0
-"""What is larger is no degree: MAVLink and logs count 1e-7 of one."""
+"""Largest number in degrees: MAVLink and logs count in 1e-7 of a degree."""
 BEGIN_S = 2.0
-"""Chosen: logs begin at arming, a vehicle takes off some seconds later; ten samples of the slowest barometer."""
+"""Begin of a log that counts as ground, seconds. Chosen: logs begin at arming, a vehicle takes off some seconds later;
+ten samples of the slowest barometer."""

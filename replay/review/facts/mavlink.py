@@ -1,4 +1,4 @@
-"""What a recording of telemetry states."""
+"""The facts that a recording of telemetry states."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ _ROTORS = {2: 4, 13: 6, 14: 8, 29: 12}
 _NO_AUTOPILOT, _ARMED, _ON_GROUND = 8, 128, 1
 _KINDS = {1: "plane", 10: "rover", 11: "rover", 12: "submarine"}
 _KINDS |= dict.fromkeys(range(19, 26), "VTOL")
-"""Of MAV_TYPE, beside multirotors: fixed wing, ground rover, boat, submarine, and what changes between two kinds."""
+"""Kinds by MAV_TYPE, except multirotors: fixed wing, ground rover, boat, submarine, and vehicles that change between
+two kinds."""
 _AUTOPILOTS = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
 _ANNOUNCED = re.compile(
     r"failsafe|^crash|potential thrust loss|^parachute: released|^low battery!|^ekf variance|^gps glitch|"
@@ -46,7 +47,7 @@ _ANNOUNCED = re.compile(
     re.IGNORECASE,
 )
 _CALLED_OFF = re.compile(r"^(pre)?arm|preflight|clear|recover|resolve|deactivat|disabl|not |\boff\b", re.IGNORECASE)
-"""Texts by which autopilots say that they act on what went wrong, and those that say that it is over, or was not."""
+"""Texts of autopilots about a failsafe or a failure, and texts that it is over, or did not happen."""
 _ESTIMATORS = {
     "EKF_STATUS_REPORT": ["velocity_variance", "pos_horiz_variance", "pos_vert_variance"],
     "ESTIMATOR_STATUS": ["vel_ratio", "pos_horiz_ratio", "pos_vert_ratio"],
@@ -54,11 +55,11 @@ _ESTIMATORS = {
 """Reports of estimators, with their innovations as shares of the gates."""
 _MILLI = 1e-3
 _HECTOPASCAL_M = 8.43
-"""Metres of height of a hectopascal at sea level: R T / (g M p) at 15 degrees and 1013.25 hPa."""
+"""Metres of height per hectopascal at sea level: R T / (g M p) at 15 degrees and 1013.25 hPa."""
 
 
 def mavlink_facts(records: LogRecords) -> LogFacts:
-    """Return what a recording of telemetry states of its first autopilot."""
+    """Return the facts that a recording of telemetry states about its first autopilot."""
     system, kind, autopilot = _vehicle(records)
 
     def get(name: str, columns: Sequence[str], names: Sequence[str], unit: str, scale: float = 1.0) -> LogSignal:
@@ -82,10 +83,10 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         landing = landed.changes(lambda state: state == _ON_GROUND)
         air = state_spans(landing, end_s, state=False)
     else:
-        # a gap of the recording may hide that it armed and took off: it stood at the last heartbeat before
+        # a gap of the recording may hide arming and take-off: the vehicle stood at the last heartbeat before arming
         stood = [(float(np.max(modes.time_s[modes.time_s < start], initial=0.0)), end) for start, end in armed]
         heights = signals["height_estimate"], signals["height"]
-        # a height is above where it began: one that began in the air says nothing
+        # a height counts from its first samples: a signal that begins in the air tells nothing
         grounded = [height for height in heights if any(height.during(0.0, at + BEGIN_S) for at, _ in stood[:1])]
         air = off_ground(stood, first_known(*grounded, *heights))
     flight = overlap(air, armed)
@@ -124,13 +125,13 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
 
 
 def _since_estimating(report: LogSignal) -> LogSignal:
-    """Return an estimator's report from when it first flags an estimate: before, it tests no measurement."""
+    """Return an estimator's report from its first flagged estimate on: before that it tests no measurement."""
     first = int(np.argmax(flagged)) if (flagged := report.only > 0).any() else len(flagged)
     return replace(report, time_s=report.time_s[first:], values=report.values[first:, 1:], names=report.names[1:])
 
 
 def _vehicle(records: LogRecords) -> tuple[int, int, int]:
-    """Return system, kind and autopilot of the first that has one."""
+    """Return system, kind and autopilot of the first system with an autopilot."""
     for name, system in sorted(records.names(), key=lambda entry: entry[1]):
         if name != "HEARTBEAT":
             continue

@@ -1,4 +1,4 @@
-"""What a log of PX4 states."""
+"""The facts that a log of PX4 states."""
 
 from __future__ import annotations
 
@@ -50,28 +50,28 @@ _FAILURES = {
     "roll": "roll", "pitch": "pitch", "alt": "altitude", "ext": "external", "arm_escs": "ESCs at arming",
     "battery": "battery", "imbalanced_prop": "propeller imbalance", "motor": "motor", "high_wind": "high wind",
 }  # fmt: skip
-"""Flags of that topic (msg/FailureDetectorStatus.msg), in words."""
+"""Flags of failure_detector_status (msg/FailureDetectorStatus.msg), in words."""
 _BITS = {name: bit for bit, name in enumerate(_FAILURES) if name != "high_wind"}
-"""Bits of vehicle_status' field of the same name, for logs without the topic: between 1.12 and 1.13 the upper ones
-meant something else for a while, so what the topic names comes first."""
+"""Bits of vehicle_status' field of the same name, for logs without the topic: between 1.12 and 1.13 the upper bits had
+another meaning for a while, so the topic's flags take precedence."""
 _CHANGED = "primary EKF changed"
-"""In the text by which PX4 says that it flies by another of its estimators, as ArduPilot's error 24 does."""
+"""Part of PX4's text about the change to another of its estimators, like ArduPilot's error 24."""
 _ABOUT_THE_LOG = frozenset({2510, 2511})
-"""MAV_CMD_LOGGING_START and _STOP: who sends them listens, and commands no vehicle."""
+"""MAV_CMD_LOGGING_START and _STOP: their sender listens, and commands no vehicle."""
 _ARMED = 2
 _MULTIROTOR, _FIXED_WING, _ROVER = 1, 2, 3
-"""Values of arming_state and vehicle_type: the same file."""
+"""Values of arming_state and vehicle_type, from the same file."""
 _UAVCAN_FULL, _DSHOT_FULL, _PWM_LEAST, _PWM_SPAN = 8191.0, 1999.0, 800.0, 1000.0
 """Full command of UAVCAN's ESCs (14 bits), of DShot (11 bits, 48 of them are commands), and PWM's 1000 to 2000 us, of
 which PX4 sends 900 when disarmed."""
 _GPS_BIT = 2
-"""Bit of estimator_status.control_mode_flags that says GPS is in use, in versions without flags of their own."""
+"""Bit of estimator_status.control_mode_flags for the use of GPS, in versions without separate flags."""
 _MOST_ROTORS = 12
-"""As many as actuator_motors holds."""
+"""Number of rotors that actuator_motors holds."""
 
 
 def px4_facts(records: LogRecords) -> LogFacts:
-    """Return what a log of PX4 states."""
+    """Return the facts that a log of PX4 states."""
     get = records.signal
     end_s = records.duration_s + 1e-3
     arming = get("vehicle_status", ["arming_state"], ["armed"], "").changes(lambda state: state == _ARMED)
@@ -104,7 +104,7 @@ def px4_facts(records: LogRecords) -> LogFacts:
     signals["resets"] = counted.above_begin()
     steps = ["delta_xy[0]", "delta_xy[1]", "delta_z", "delta_vxy[0]", "delta_vxy[1]", "delta_vz"]
     signals["reset_steps"] = get("vehicle_local_position", steps, steps, "m, m/s")
-    # each has an estimator of its own: of all accelerometers the one that clips most
+    # each accelerometer has an estimator of its own: take the accelerometer that clips most
     shaken = [_shaken(records, f"vehicle_imu_status{instance}") for instance in _INSTANCES]
     signals |= max(shaken, key=lambda one: float(np.nanmax(one["clipping"].above_begin().only, initial=0.0)))
     kinds = get("vehicle_status", ["vehicle_type"], ["type"], "")
@@ -114,7 +114,7 @@ def px4_facts(records: LogRecords) -> LogFacts:
     if rotary and np.median(rotary.only) == 1:
         vehicle = "multirotor"
     if (get("vehicle_status", ["is_vtol"], ["vtol"], "").only == 1).any():
-        # neither of the two for long: its rotors stand while it flies on its wings
+        # a VTOL is neither of the two for long: its rotors stand while it flies on its wings
         vehicle = "VTOL"
     return LogFacts(
         "PX4", vehicle, records.first_ns, records.duration_s, tuple(armed), tuple(flight), signals,
@@ -124,13 +124,13 @@ def px4_facts(records: LogRecords) -> LogFacts:
 
 
 def _motors(records: LogRecords, armed: Spans, lacks: dict[str, str]) -> LogSignal:
-    """Return the commands of the outputs that move: a mixer's are logged whether anything is connected or not."""
+    """Return the commands of the outputs that move: a mixer's outputs are logged even if nothing is connected."""
     controls = [f"control[{k}]" for k in range(_MOST_ROTORS)]
     numbers = [f"motor{k + 1}" for k in range(_MOST_ROTORS)]
     commands = records.signal("actuator_motors", controls, numbers, "of full")
     there: NDArray[np.bool_] = np.asarray(np.isfinite(commands.values).any(axis=0))
     if there.any():
-        # a motor that the autopilot stopped is NaN while the others are not
+        # the command of a motor that the autopilot stopped is NaN while the others are not
         values = np.where(np.isnan(commands.values[:, there]), 0.0, commands.values[:, there])
         names = tuple(name for name, known in zip(numbers, there, strict=True) if known)
         return LogSignal(commands.time_s, values, names, "of full", "actuator_motors")
@@ -138,7 +138,7 @@ def _motors(records: LogRecords, armed: Spans, lacks: dict[str, str]) -> LogSign
     for topic in (f"actuator_outputs{instance}" for instance in _INSTANCES):
         outputs = records.signal(topic, [f"output[{k}]" for k in range(8)], numbers[:8], "of full")
         during = outputs.values[inside(outputs.time_s, armed)]
-        # a switch or a constant takes few values
+        # the output of a switch or a constant has few values
         varied = np.array([len(np.unique(column)) > _FEW_VALUES for column in during.T])
         if varied.any():
             moving.append(_scaled(outputs, varied))
@@ -148,7 +148,8 @@ def _motors(records: LogRecords, armed: Spans, lacks: dict[str, str]) -> LogSign
 
 
 _FEW_VALUES = 10
-"""Chosen: a gripper, a light or a camera has two or three commands, a controlled motor another one with each sample."""
+"""Most values of an output without a motor. Chosen: a gripper, a light or a camera has two or three commands, a
+controlled motor another one with each sample."""
 
 
 def _scaled(outputs: LogSignal, moves: NDArray[np.bool_]) -> LogSignal:
@@ -166,7 +167,7 @@ def _scaled(outputs: LogSignal, moves: NDArray[np.bool_]) -> LogSignal:
 
 
 def _shaken(records: LogRecords, topic: str) -> dict[str, LogSignal]:
-    """Return how an accelerometer vibrates and clips."""
+    """Return the vibration and clipping of an accelerometer."""
     clipping = records.signal(topic, [f"accel_clipping[{k}]" for k in range(3)], ["x", "y", "z"], "samples")
     return {
         "vibration": records.signal(topic, ["accel_vibration_metric"], ["vibration"], "m/s2"),

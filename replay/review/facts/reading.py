@@ -1,4 +1,4 @@
-"""Reads a log once for what it states."""
+"""Reads a log once for the facts that it states."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from replay.review.facts.log_facts import LogFacts, LogRecords, flown
 
 
 def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
-    """Return what a log states, and what of it could not be read.
+    """Return the facts that a log states, and its unreadable parts.
 
     Raises
     ------
     TelemetryError
-        It is no recording, cannot be read, or holds nothing that a vehicle says of itself.
+        The file is no recording, cannot be read, or the vehicle reports nothing in it.
     """
     source = onboard_source(path)
     topics, translate = {

@@ -1,1 +1,1 @@
-"""The findings of a review, a module each."""
+"""The findings of a review, one module each."""

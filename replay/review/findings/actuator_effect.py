@@ -1,4 +1,4 @@
-"""A motor, a surface or the steering acted less or more than it did in the flight's other parts."""
+"""A motor, a surface or the steering had less or more effect than in the other parts of the flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The estimator's attitude leaned so far that the vehicle would have fallen, and it did not."""
+"""The estimator's attitude was so tilted that the vehicle would have fallen, and it did not fall."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from replay.review.findings.rule import Judgement, Rule
 
 _GRAVITY = 9.81
 _LEANS_DEG = 45.0
-"""Chosen: from there on an error of the attitude turns the force by which it is judged, whatever its own error."""
+"""Smallest tilt that is judged, degrees. Chosen: from there on an error of the attitude rotates the force by which it
+is judged, whatever its own error."""
 _LEAST_S = 3.0
-"""Chosen: what lacks 0.3 g then falls 13 m, six times what a barometer errs by when rotors change."""
+"""Shortest time of such a tilt, seconds. Chosen: a vehicle that lacks 0.3 g falls 13 m in it, six times a barometer's
+error when rotors change their speed."""
 _BIAS = 1.0
-"""m/s2: more than the accelerometers of a vehicle that flies are off."""
+"""Largest error of the accelerometers of a vehicle that flies, m/s2."""
 
 
 def _judge(facts: LogFacts, attitude: LogSignal, force: LogSignal, height: LogSignal) -> Iterator[Judgement]:
@@ -27,9 +29,9 @@ def _judge(facts: LogFacts, attitude: LogSignal, force: LogSignal, height: LogSi
             continue
         roll, pitch = np.radians(attitude.at(felt.time_s)[:, :2].T)
         x, y, z = felt.values.T
-        # what is left of gravity when the force is turned as the attitude says
+        # the part of gravity that is not compensated by the force, rotated by the attitude
         lacks = _GRAVITY - float(np.mean(np.sin(pitch) * x - np.cos(pitch) * (np.sin(roll) * y + np.cos(roll) * z)))
-        # the least height that such an acceleration goes through: up to the vertex and down again
+        # the least height change of such an acceleration: up to the vertex and down again
         if np.ptp(heights) < FELL_M and lacks > 8.0 * FELL_M / (end - start) ** 2 + _BIAS:
             said = float(np.median(leans[(attitude.time_s >= start) & (attitude.time_s <= end)]))
             yield Judgement(
@@ -60,5 +62,5 @@ RULE = Rule(
     plots=("attitude", "acceleration", "height"),
     judge=_judge,
     multirotor=True,
-    least_hz=2.0,  # of three seconds six samples
+    least_hz=2.0,  # six samples in three seconds
 )

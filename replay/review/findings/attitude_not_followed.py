@@ -1,4 +1,4 @@
-"""The vehicle's roll or pitch went far from what its autopilot wanted."""
+"""The vehicle's roll or pitch was far from the attitude that its autopilot wanted."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from replay.review.findings.loss_of_control import FULL, IDLE, lost_s, undisturb
 from replay.review.findings.rule import Judgement, Rule
 
 _APART_DEG = 30.0
-"""ArduPilot's crash check has 30 degrees. Measured: in eleven healthy flights, some at full sticks and 60 degrees of
-tilt, the attitude is at most 24 degrees behind for half a second."""
+"""Smallest deviation, degrees: ArduPilot's crash check has 30. Measured: in eleven healthy flights, some at full sticks
+and 60 degrees of tilt, the attitude is at most 24 degrees behind for half a second."""
 _APART_S = 0.5
-"""Chosen: twice the time in which a multirotor rolls by its greatest angle."""
+"""Shortest deviation, seconds. Chosen: twice the time in which a multirotor rolls by its greatest angle."""
 
 
 def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, throttle: LogSignal) -> Iterator[Judgement]:
     times = attitude.time_s
     apart = _apart(attitude, wanted)
     end_s = lost_s(facts)
-    # what came before the motors were stopped, and the tumbling itself; idle motors hold no attitude
+    # judged is the flight until the motors were stopped, and the tumbling itself; idle motors hold no attitude
     commanded = throttle.at(times)[:, 0]
     judged = facts.in_flight(times) & (times < end_s + _APART_S)
     usual = np.median(commanded[judged & np.isfinite(commanded)] if judged.any() else 0.0)
     judged &= commanded > IDLE * usual
     far = (apart > _APART_DEG).any(axis=1) & judged
-    # what never followed has not stopped to: an estimator that does not know its attitude yet
+    # the attitude must have followed before: an estimator may not know its attitude yet
     far &= np.logical_or.accumulate(judged & ~far)
     motors = facts.signal("motors")
     spans = (span for span in spans_where(times, far, _APART_S) if _left(attitude, apart, *span))
@@ -54,7 +54,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, throttle: Lo
 
 
 def _apart(attitude: LogSignal, wanted: LogSignal) -> Floats:
-    """Return how far roll and pitch are from all that was wanted over the last half second (n, 2), degrees."""
+    """Return the distance of roll and pitch from all values wanted over the last half second (n, 2), degrees."""
     ways = [
         degrees_apart(attitude.values[:, :2], wanted.at(attitude.time_s - ago)[:, :2])
         for ago in np.linspace(0.0, _APART_S, _AGO)
@@ -63,14 +63,14 @@ def _apart(attitude: LogSignal, wanted: LogSignal) -> Floats:
 
 
 def _left(attitude: LogSignal, apart: Floats, start_s: float, end_s: float) -> bool:
-    """Return whether the attitude left what was wanted: on the ground sticks move, and the vehicle does not."""
+    """Return whether the attitude itself moved away: on the ground only the sticks move."""
     first, last = np.searchsorted(attitude.time_s, (start_s - 2 * _APART_S, end_s))
     moved = np.ptp(attitude.values[first:last, :2], axis=0)
     return bool((moved[apart[first:last].max(axis=0) > _APART_DEG] > _APART_DEG / 2).any())
 
 
 _AGO = 6
-"""Moments of that half second that are looked at: as many as the slowest log that is judged has, and two more."""
+"""Moments of that half second that are compared: two more samples than the slowest judged log has."""
 
 
 def _high(facts: LogFacts, at_s: float) -> Iterator[str]:
@@ -95,5 +95,5 @@ RULE = Rule(
     plots=("attitude", "attitude_wanted", "motors", "throttle"),
     judge=_judge,
     multirotor=True,
-    least_hz=7.5,  # of half a second four samples
+    least_hz=7.5,  # four samples in half a second
 )

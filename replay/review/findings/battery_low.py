@@ -1,4 +1,4 @@
-"""The battery's voltage fell far below where it began, and motors had to make up for it."""
+"""The battery's voltage fell below that of an empty battery."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from replay.review.findings.loss_of_control import in_control, spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _CELL_V = 3.3
-"""Volts of a cell of lithium polymer under load below which its voltage collapses (PX4's docs: empty at 3.5 under load,
-damage below 3.3)."""
+"""Smallest voltage of a lithium polymer cell under load: below it the voltage collapses (PX4's docs: empty at 3.5 under
+load, damage below 3.3)."""
 _FULL_CELL_V = 4.2
-"""Volts of a full cell, by which the number of cells is guessed where nothing says it: then it stays information."""
+"""Voltage of a full cell, from which the number of cells is guessed if no parameter gives it; then the finding is
+information only."""
 _LEAST_S = 3.0
-"""Chosen: longer than a full command of the motors, which lets voltage sag and come back."""
+"""Shortest time below that voltage, seconds. Chosen: longer than a full command of the motors, during which the voltage
+drops and recovers."""
 _CELLS, _EMPTY = ("BAT1_N_CELLS", "BAT_N_CELLS"), ("BAT1_V_EMPTY", "BAT_V_EMPTY")
 
 
@@ -27,7 +29,7 @@ def _judge(facts: LogFacts, battery: LogSignal) -> Iterator[Judgement]:
     said = next((facts.parameters[name] for name in _CELLS if facts.parameters.get(name, 0) > 0), 0.0)
     cells = int(said) or max(1, round(float(np.nanmax(volts)) / _FULL_CELL_V))
     source = "as its parameters say" if said else "from the highest voltage"
-    # cells of lithium ion may be taken further down, which their owner then says
+    # cells of lithium ion may be discharged further, if their owner sets that parameter
     limit = min([_CELL_V, *(facts.parameters[name] for name in _EMPTY if facts.parameters.get(name, 0.0) > 1.0)])
     for start, end in spans_in_control(facts, battery, volts < limit * cells, _LEAST_S)[:1]:
         least = float(battery.during(start, end).only.min())

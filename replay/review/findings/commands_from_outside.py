@@ -1,4 +1,4 @@
-"""Somebody who had not commanded the vehicle before take-off did so in flight, or commands came in a flood."""
+"""A sender that had not commanded the vehicle before take-off did so in flight, or there was a flood of commands."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 flood_s = command.time_s if flood_s is None else flood_s
                 continue
             ends = ends_flight(command.name, command.values)
-            # a vehicle that does not fly is disarmed at the end of each drive, by whoever has it at hand
+            # a vehicle that does not fly is disarmed at the end of each drive, by any of its operators
             weight = said.weight if facts.flies or not ends else "information"
             before = found.get(said.sender)
             if before is None:
@@ -57,7 +57,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
 
 
 def _evidence(command: CommandSent) -> str:
-    # a command without a name is a number of MAV_CMD
+    # a command without a name is given by its MAV_CMD number
     name = f"MAV_CMD {command.name}" if command.name.isdigit() else command.name
     return f"{name} at {command.time_s:.2f} s with {', '.join(map(str, command.values)) or 'nothing'}"
 

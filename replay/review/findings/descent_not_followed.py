@@ -1,4 +1,4 @@
-"""The vehicle was to descend, its thrust was at the least, and it did not descend."""
+"""The vehicle had to descend and its thrust was low, but it did not descend."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _WANTED = 0.5
-"""m/s down: a slow landing's speed (MPC_LAND_SPEED 0.7, LAND_SPEED 0.5)."""
+"""Smallest wanted descent, m/s: a slow landing's speed (MPC_LAND_SPEED 0.7, LAND_SPEED 0.5)."""
 _LEAST_S = 3.0
-"""Chosen: an updraft or a stop from a fast climb lasts for two seconds, and a vehicle reaches 0.5 m/s in one."""
+"""Shortest time without descent, seconds. Chosen: an updraft or a stop from a fast climb lasts for two, and a vehicle
+reaches 0.5 m/s in one."""
 _NOT_DOWN = 0.0
-"""m/s: it climbs."""
+"""Vertical speed above which the vehicle climbs, m/s."""
 _ROUGH_S = 2.0
-"""Over which a barometer's reading is averaged for its slope: at 2 to 10 readings a second of 0.2 m."""
+"""Time over which the barometer's height is averaged for its slope, seconds: it has 2 to 10 readings a second of 0.2
+m."""
 
 
 def _judge(facts: LogFacts, wanted: LogSignal, height: LogSignal, motors: LogSignal) -> Iterator[Judgement]:
@@ -49,9 +51,9 @@ def _judge(facts: LogFacts, wanted: LogSignal, height: LogSignal, motors: LogSig
 
 
 def _received(facts: LogFacts, start_s: float, end_s: float) -> float:
-    """Return by how much a vehicle climbed (m) as its receiver's speed says, without end where there is none.
+    """Return the climb (m) by the receiver's vertical speed; infinite if there is none.
 
-    That speed is good to 0.05 m/s (data sheet of u-blox's M8), 0.2 m in the shortest of these climbs.
+    That speed is accurate to 0.05 m/s (data sheet of u-blox's M8), which is 0.2 m in the shortest of these climbs.
     """
     speed = facts.signal("climb_received").during(start_s, end_s)
     return float(np.mean(speed.only)) * (end_s - start_s) if speed else np.inf

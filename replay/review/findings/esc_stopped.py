@@ -12,10 +12,10 @@ from replay.review.findings.loss_of_control import IDLE, in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _SLOW = 0.4
-"""Share of the speed usual at that command: a third of the thrust goes with a speed of 0.8, and what the fastest motor
-still runs down from a commanded step within a sample is above 0.5."""
+"""Share of the usual speed at that command, below which a motor is too slow: with a third less thrust the speed is 0.8,
+and what the fastest motor still runs down from a commanded step within a sample is above 0.5."""
 _LEAST_S = 0.6
-"""Chosen: two samples of the slowest reports of ESCs, 3 a second."""
+"""Shortest time of such a speed, seconds. Chosen: two samples of the slowest reports of ESCs, 3 a second."""
 _COMMANDED = 0.08
 """Share of full command from which a motor turns (see loss_of_control.STOPPED)."""
 
@@ -28,9 +28,9 @@ def _judge(facts: LogFacts, rpm: LogSignal, motors: LogSignal) -> Iterator[Judge
     judged = in_control(facts, times) & (command > _COMMANDED).all(axis=1) & np.isfinite(rpm.values).all(axis=1)
     if not judged.any():
         return
-    # ArduPilot's motors idle at MOT_SPIN_MIN, and thrust goes with what is above it
+    # ArduPilot's motors idle at MOT_SPIN_MIN, and thrust is proportional to the command above it
     thrust = np.maximum(command - facts.parameters.get("MOT_SPIN_MIN", 0.0), _COMMANDED)
-    # at one command all motors of a vehicle turn about as fast: the others say what is usual
+    # with the same command all motors of a vehicle turn about equally fast: the others show the usual speed
     speed = rpm.values / np.sqrt(thrust)
     usual = float(np.median(speed[judged]))
     least = IDLE * np.median(thrust[judged])
@@ -56,7 +56,7 @@ def _judge(facts: LogFacts, rpm: LogSignal, motors: LogSignal) -> Iterator[Judge
 
 
 def _own(thrust: Floats, speed: Floats, during: NDArray[np.bool_], k: int) -> bool:
-    """Return whether an ESC turns with its own motor's command beside the others: ESCs have numbers of their own."""
+    """Return whether an ESC's speed follows its own motor's command best: ESCs may be numbered in another order."""
     asked, turned = (part[during] - part[during].mean(axis=1, keepdims=True) for part in (thrust, speed))
     together = asked.T @ turned[:, k]
     return bool(together[k] >= together.max())

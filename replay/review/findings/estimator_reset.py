@@ -1,4 +1,4 @@
-"""The estimator set its position or height anew in flight."""
+"""The estimator reset its position or height in flight."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _AFTER_S = 5.0
-"""Seconds after take-off in which a reset is usual: yaw and height are aligned anew when the ground no longer disturbs
-the compass and the barometer (PX4 does so from 1.5 m on)."""
+"""Time after take-off in which a reset is usual, seconds: yaw and height are aligned again when the ground no longer
+disturbs the compass and the barometer (PX4 does so from 1.5 m on)."""
 _STEPS = {
     "position": (slice(0, 2), "m"),
     "height": (slice(2, 3), "m"),
     "velocity": (slice(3, 5), "m/s"),
     "climb": (slice(5, 6), "m/s"),
 }
-"""Of what is counted: its columns of the steps, and their unit."""
+"""For each counter: its columns of the steps, and their unit."""
 
 
 def _judge(facts: LogFacts, resets: LogSignal) -> Iterator[Judgement]:

@@ -11,10 +11,11 @@ from replay.review.findings.loss_of_control import lost_s
 from replay.review.findings.rule import Judgement, Rule
 
 _LATER_S = 1.0
-"""Chosen: the slowest statements of state come once a second; a failsafe that late is of the fall itself."""
+"""Time after a loss of control in which failsafes count, seconds. Chosen: the slowest statements of state come once a
+second; a later failsafe is caused by the fall itself."""
 _CHECKED_S = 5.0
-"""Chosen: a crash check waits for 2 s of a vehicle that lies (ArduPilot's CRASH_CHECK_TRIGGER_SEC), and its landing
-detector as long to take the flight for ended."""
+"""Time after a flight in which a crash detection counts, seconds. Chosen: a crash check waits until a vehicle has lain
+for 2 s (ArduPilot's CRASH_CHECK_TRIGGER_SEC), and its landing detector takes as long to end the flight."""
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:

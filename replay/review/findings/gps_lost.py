@@ -1,4 +1,4 @@
-"""The estimator used GPS, and its fix was lost in flight."""
+"""The fix of a GPS that the estimator used was lost in flight."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from replay.review.findings.loss_of_control import in_control, spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _LEAST_S = 1.0
-"""Chosen: five fixes of a receiver of usual rates."""
+"""Shortest loss, seconds. Chosen: five fixes at the usual rate of receivers."""
 
 
 def _judge(facts: LogFacts, gps: LogSignal) -> Iterator[Judgement]:

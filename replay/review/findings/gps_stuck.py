@@ -1,4 +1,4 @@
-"""The receiver repeated one position for seconds, and then was elsewhere at once."""
+"""The receiver repeated one position for seconds, and then jumped to another."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from replay.review.findings.loss_of_control import spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _LEAST_S = 2.0
-"""Chosen: ten fixes of a receiver of usual rates."""
+"""Shortest repetition, seconds. Chosen: ten fixes at the usual rate of receivers."""
 _JUMP_M = 5.0
-"""Metres: twice the 2.5 m by which half of a receiver's fixes are off (data sheet of u-blox's M8). Measured in 239
-simulated and public logs: of the positions repeated for 2 s in flight none but those of three logs with a faulty GPS
-is as far off afterwards."""
+"""Smallest jump, metres: twice the 2.5 m that half of a receiver's errors exceed (data sheet of u-blox's M8). Measured
+in 239 simulated and public logs: of the positions repeated for 2 s in flight only those of three logs with a faulty
+GPS are followed by such a jump."""
 
 
 def _judge(facts: LogFacts, position: LogSignal) -> Iterator[Judgement]:

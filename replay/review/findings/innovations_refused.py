@@ -1,4 +1,4 @@
-"""The estimator refused measurements, while the vehicle was still flown."""
+"""The estimator refused measurements while the vehicle was still controlled."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from replay.review.findings.loss_of_control import spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _REFUSED = 1.0
-"""By definition: the innovation is at its gate."""
+"""Innovation over its gate from which measurements are refused, by definition."""
 _LEAST_S = 1.0
-"""ArduPilot's EKF check fails as long (10 times in a row at 10 Hz)."""
+"""Shortest refusal, seconds: ArduPilot's EKF check fails after as long (10 times in a row at 10 Hz)."""
 
 
 def _judge(facts: LogFacts, ratios: LogSignal) -> Iterator[Judgement]:

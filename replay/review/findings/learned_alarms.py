@@ -1,4 +1,4 @@
-"""Alarms of a profile that was learned from the flight's own begin, as judgements."""
+"""Judgements from the alarms of a profile that was learned from the flight's own begin."""
 
 from __future__ import annotations
 
@@ -12,40 +12,44 @@ from replay.review.findings.loss_of_control import FAST_M_S, lost_s, speed
 from replay.review.findings.rule import Judgement, UnjudgedError
 
 _LEAST_S = 5.0
-"""Of an alarm that is more than a moment. Measured on fifteen healthy simulated flights learned from their first
-40 s: alarms of motors end within 3.6 s (hard turns that the begin did not have)."""
+"""Shortest alarm that is judged, seconds. Measured on fifteen healthy simulated flights learned from their first 40 s:
+alarms of motors end within 3.6 s (hard turns that the begin did not have)."""
 _PASSING_S = 12.0
-"""Of an alarm that ends by itself, below which it is information alone: what is broken stays so. Measured on 40 real
-flights that were learned from (public logs of ArduPilot): where nothing else speaks of a fault, seven alarms of motors
-and GPS velocities end after 6 to 11 s, those of the latter because the observer holds a jump for 10 s. Those of faults
-last as long as the fault."""
+"""An alarm that ends by itself in a shorter time is information only, seconds: a broken part stays broken. Measured on
+40 real flights (public logs of ArduPilot): without other signs of a fault, seven alarms of motors and GPS velocities
+end after 6 to 11 s, those of GPS velocities because the observer holds a jump for 10 s. Alarms of faults last as
+long as the fault."""
 _POSITIONS = ("gps_north", "gps_east", "gps_down")
 _ACCURACY_M = 2.5
-"""Metres by which half of a receiver's fixes are off (data sheet of u-blox's M8): less is no fault of it. Measured: in
-8 m/s of gusty wind after a calm begin a healthy flight's came to 0.75 m."""
+"""Metres that half of a receiver's errors exceed (data sheet of u-blox's M8): a smaller error is no fault. Measured: a
+healthy flight in 8 m/s of gusty wind after a calm begin reached 0.75 m."""
 _DELAY_S = 0.11
-"""By how much two receivers may be late otherwise (ArduPilot's EK3_GPS_DELAY: 0.11 s of a u-blox M8, 0.22 s of one that
-it does not know): a delay is learned where the vehicle moves, and hardly in a hover. Times the speed it is metres."""
+"""Difference of two receivers' delays, seconds (ArduPilot's EK3_GPS_DELAY: 0.11 s for a u-blox M8, 0.22 s for an
+unknown receiver): a delay is learned while the vehicle moves, and hardly in a hover. Multiplied by the speed it is
+an error in metres."""
 _FASTER = 1.25
-"""Of speed: drag goes with its square, and is half as much again."""
+"""Factor on the learned speed: drag is proportional to the square of the speed, so it is half as much again."""
 _LANDING_S = 3.0
-"""Seconds ahead of touch-down that are left out: the air that rotors throw at the ground comes back."""
+"""Time before touch-down that is left out, seconds: the ground reflects the rotors' air."""
 _CARRIED_S = 5.0
-"""Chosen: as long as an alarm has to last; over it climbs and turns average out."""
+"""Length of the compared parts of the flight, seconds. Chosen: as long as an alarm has to last; climbs and turns
+average out in it."""
 _SATELLITES = 6
-"""Fewer than PX4 (EKF2_REQ_NSATS) and ArduPilot (EK3_GPS_CHECK) ask for before their estimators take GPS up."""
+"""Fewest satellites: PX4 (EKF2_REQ_NSATS) and ArduPilot (EK3_GPS_CHECK) require at least as many before their
+estimators use GPS."""
 
 
 def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Iterator[Judgement]:
-    """Yield the lasting alarms of channels that begin with some words, one for each channel, from its first on.
+    """Yield judgements of the lasting alarms of some channels, one for each channel, from its first alarm on.
 
-    ``channels`` says of such words how many times its threshold an alarm has to be to be more than information.
+    ``channels`` gives, by the begins of channels' names, the ratio to the threshold from which an alarm is more than
+    information.
     """
     watch = facts.watch
     if watch is None:
         return
     end_s = lost_s(facts)
-    # what the motors' observer says of gyros is command against motion: which of the two is wrong it cannot tell alone
+    # the motors' observer compares commands with gyros: alone it cannot tell which of the two is wrong
     lasting = [
         alarm
         for alarm in watch.alarms
@@ -77,7 +81,7 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
             *_faster(facts, largest),
         )
         enough = bool(staying) and largest.share >= _least_share(channels, largest) and not (accurate or doubts)
-        # a heading off and a turn rate off look alike to the sensors that are left
+        # a wrong heading and a wrong turn rate look the same to the other sensors
         either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
         yield Judgement(
             span=(own[0].start_s, own[-1].end_s),
@@ -95,45 +99,45 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
 
 
 def _least_share(channels: Mapping[tuple[str, ...], float], alarm: LearnedAlarm) -> float:
-    """Return how many times its threshold an alarm has to be; NaN of a channel that is not asked for."""
+    """Return the ratio to the threshold that an alarm has to reach; NaN for a channel that is not judged."""
     return next((share for words, share in channels.items() if alarm.channel.startswith(words)), nan)
 
 
 def _still_carried(facts: LogFacts, alarm: LearnedAlarm, begin_s: float, end_s: float) -> Iterator[str]:
-    """Yield what says that the motors together lift as before, so that none lacks what an alarm says it does.
+    """Yield the evidence that the motors together lift as much as before, so that no motor lacks the alarm's size.
 
-    What turns a vehicle from outside (wind, a load that moved) takes command from one motor and gives it to another; a
-    motor that lacks thrust leaves the others' commands, and what all lift for their commands goes down.
+    A turning moment from outside (wind, a load that moved) moves command from one motor to another. A motor that lacks
+    thrust leaves the others' commands unchanged, and the total lift relative to the commands decreases.
     """
     motors, force = facts.signal("motors"), facts.signal("acceleration")
     if facts.watch is None or not motors or not force or not alarm.channel.startswith("motor"):
         return
-    # after take-off, at whose begin the ground still carries
+    # after take-off, at whose begin the ground still carries the vehicle
     begins = np.arange(begin_s + _CARRIED_S, facts.watch.until_s - _CARRIED_S, _CARRIED_S).tolist()
     spans = [*((at, at + _CARRIED_S) for at in begins), (alarm.start_s, end_s)]
     asked = np.array([np.sum(part := motors.during(*span).values) / len(part) for span in spans])
     lift = np.array([np.sum(part := force.during(*span).values[:, 2]) / len(part) for span in spans]) / asked
     now, lacking = lift[-1] / np.median(lift[:-1]), alarm.size / asked[-1]
-    # half as much as it would cost, where that is more than it moved by itself
+    # the lift lost less than half of the alarm's loss, and that loss exceeds the usual variation of the lift
     if lacking > np.ptp(lift[:-1] / np.median(lift[:-1])) and now > 1.0 - lacking / 2:
         lifted = f"{100 * now:.0f} % of before at these commands, not {100 - 100 * lacking:.0f} %"
         yield f"the motors together lift {lifted}: something from outside turns the vehicle"
 
 
 def _few_satellites(facts: LogFacts, alarm: LearnedAlarm, end_s: float) -> Iterator[str]:
-    """Yield what says that GPS, by whose motion an alarm's gyro or accelerometer is judged, was too poor for it."""
+    """Yield the reason if GPS, whose motion an alarm of a gyro or accelerometer relies on, was too poor."""
     gps = facts.signal("gps").during(alarm.start_s, end_s)
     if gps and alarm.channel.startswith(("gyro_", "accel_")) and gps.values[:, 1].min() < _SATELLITES:
         yield f"the receiver was down to {gps.values[:, 1].min():.0f} satellites and may be wrong itself"
 
 
 def _faster(facts: LogFacts, alarm: LearnedAlarm) -> Iterator[str]:
-    """Yield what says that a multirotor was as fast when a motor's alarm began as nothing taught how its motors act."""
+    """Yield the reason if a multirotor was faster at the begin of a motor's alarm than in the part that was learned."""
     if facts.watch is None or facts.vehicle != "multirotor" or not alarm.channel.startswith(("motor", "esc", "prop")):
         return
     pace = speed(facts)
     taught = np.max(pace.during(-np.inf, facts.watch.until_s).only, initial=0.0)
-    # how fast it was when the observer began to leave zero is not known: an alarm comes seconds later
+    # an alarm is raised seconds after the estimate leaves zero, at an unknown time: take the highest speed before it
     now = np.max(pace.during(alarm.start_s - _LEAST_S, alarm.start_s).only, initial=0.0)
     if now > max(FAST_M_S, _FASTER * taught):
         yield f"it flew at {now:.0f} m/s; the begin of the flight, at most {taught:.0f} m/s, teaches nothing about that"
@@ -149,12 +153,12 @@ def _own(alarm: LearnedAlarm) -> bool:
 
 
 def _until_s(alarm: LearnedAlarm, facts: LogFacts, end_s: float) -> float:
-    """Return when an alarm ended, or what can be judged of the flight."""
+    """Return the end of an alarm, or of the part of the flight that can be judged."""
     flight_end_s = max((end for start, end in facts.flight if start <= alarm.start_s), default=0.0) - _LANDING_S
     return min(alarm.end_s, end_s, flight_end_s)
 
 
 def _stays(alarm: LearnedAlarm, facts: LogFacts, end_s: float) -> bool:
-    """Return whether an alarm did not end by itself, or lasted long before."""
+    """Return whether an alarm did not end by itself, or had lasted long before."""
     until_s = _until_s(alarm, facts, end_s)
     return until_s < alarm.end_s or until_s - alarm.start_s >= _PASSING_S

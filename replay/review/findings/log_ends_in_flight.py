@@ -8,9 +8,10 @@ from replay.review.facts.log_facts import LogFacts, LogSignal
 from replay.review.findings.rule import Judgement, Rule
 
 _HIGH_M = 3.0
-"""Metres above the begin: higher than a barometer errs beside turning rotors."""
+"""Smallest height above the begin, metres: larger than a barometer's error beside turning rotors."""
 _AT_END_S = 1.5
-"""Chosen: the slowest statements of state come once a second."""
+"""Time before the log's end that counts as its end, seconds. Chosen: the slowest statements of state come once a
+second."""
 
 
 def _judge(facts: LogFacts, height: LogSignal) -> Iterator[Judgement]:

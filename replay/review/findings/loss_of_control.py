@@ -1,4 +1,4 @@
-"""When a vehicle was no longer flown: what comes later is a consequence, and no finding of its own."""
+"""The time of a loss of control: everything later is a consequence, and no finding of its own."""
 
 from __future__ import annotations
 
@@ -10,37 +10,41 @@ from numpy.typing import NDArray
 from replay.review.facts.log_facts import Floats, LogFacts, LogSignal, inside, spans_where
 
 STOPPED = 0.02
-"""Share of full command below which a motor does not turn: under every autopilot's idle (PX4 idles from 0.05 on,
+"""Share of full command below which a motor does not turn: less than every autopilot's idle (PX4 idles from 0.05 on,
 ArduPilot's SPIN_ARM is 0.1)."""
 FULL = 0.945
-"""Share of full command: ArduPilot leaves 5 % (MOT_SPIN_MAX 0.95) and logs whole microseconds, of which a range of
-pulses has 200 and more."""
+"""Share of full command that counts as full: ArduPilot leaves 5 % unused (MOT_SPIN_MAX 0.95) and logs whole
+microseconds, and a range of pulses has at least 200 of them."""
 FAST_M_S = 15.0
-"""A fifth more than PX4 (MPC_XY_VEL_MAX 12) and ArduPilot (LOIT_SPEED 12.5) allow a copter by default: beyond it the
-air turns a multirotor about as much as its motors do, and rotors that meet it at a slant lift otherwise."""
+"""Speed of a fast multirotor, m/s: a fifth more than PX4 (MPC_XY_VEL_MAX 12) and ArduPilot (LOIT_SPEED 12.5) allow by
+default. Beyond it the air turns a multirotor about as much as its motors do, and the lift of rotors changes in the
+oblique flow."""
 _PACE_S = 1.0
-"""Over which a receiver's way is a speed: its noise, some 0.1 m from fix to fix, is none then."""
+"""Time over which a receiver's path gives a speed, seconds: its noise, some 0.1 m from fix to fix, is negligible
+then."""
 IDLE = 0.4
 """Share of its usual command below which the strongest motor idles. Measured in 24 public logs: idle ones have 0.08 to
-0.26 of it, those that fly 0.61 and more."""
+0.26 of it, flying ones 0.61 and more."""
 _STOPPED_S = 0.4
-"""Chosen: four samples of a log of default rates; a mixer that is saturated takes all motors to zero for less."""
+"""Shortest stop, seconds. Chosen: four samples of a log with default rates; a saturated mixer takes all motors to zero
+for less."""
 FELL_M = 2.0
-"""Metres that a vehicle falls without motors in 0.64 s, and no gust lets it sink within two seconds; measured: a
-barometer's reading moves by 1 m when motors stop on the ground, and by up to 5 m under strong ones."""
+"""Smallest fall, metres: a vehicle without motors needs 0.64 s for it, and no gust makes it sink that far within two
+seconds. Measured: a barometer's reading changes by 1 m when motors stop on the ground, and by up to 5 m under strong
+motors."""
 _FALL_S = 3.0
-"""Time in which to see it: it falls 44 m in it, twice the barometer's slowest averaging."""
+"""Time in which the fall is measured, seconds: a vehicle falls 44 m in it, twice the barometer's slowest averaging."""
 _UPSIDE_DOWN = 100.0
-"""Degrees from level beyond which no multirotor is held unless it flips on purpose."""
+"""Degrees from level beyond which a multirotor is only in a deliberate flip."""
 _GRAVITY = 9.81
 _ABOUT_S = 1.0
-"""Seconds ahead of an attitude in which a blow belongs to it."""
+"""Time before an attitude in which an impact belongs to it, seconds."""
 _ON_ITS_BACK_S = 0.3
-"""Chosen: a flip takes as long as it is upside down, a tumbling vehicle too; six samples at 20 Hz."""
+"""Shortest time upside down, seconds. Chosen: a flip takes that long, a tumbling vehicle too; six samples at 20 Hz."""
 
 
 def stops(facts: LogFacts) -> list[tuple[float, float, float]]:
-    """Return when all motors were commanded to stop while the vehicle then fell: from, to, and metres it fell."""
+    """Return the stops of all motors after which the vehicle fell: begin, end, and metres of the fall."""
     motors, height = facts.signal("motors"), facts.signal("height")
     armed_or_just = [(start, end + 1.0) for start, end in facts.armed]
     still = (motors.values < STOPPED).all(axis=1) & inside(motors.time_s, armed_or_just)
@@ -56,35 +60,35 @@ def stops(facts: LogFacts) -> list[tuple[float, float, float]]:
 
 
 def _fall(height: LogSignal, start_s: float) -> float | None:
-    """Return by how much a height goes down within some seconds of a time."""
+    """Return the decrease of a height within some seconds after a time."""
     before, after = height.during(start_s - 1.0, start_s).only, height.during(start_s, start_s + _FALL_S).only
     if not len(before) or not len(after):
         return None
-    # rotors at work change the pressure at the barometer: a reading that jumps up and stays is no fall
+    # turning rotors change the pressure at the barometer: a reading that jumps up and stays there is no fall
     return float(np.median(before) - np.median(after[-max(1, len(after) // 3) :]))
 
 
 def tumbles(facts: LogFacts) -> list[tuple[float, float]]:
-    """Return from when to when a multirotor was beyond what it is flown at."""
+    """Return the spans in which a multirotor was tilted further than it is ever flown."""
     attitude = facts.signal("attitude")
     if not attitude or facts.vehicle != "multirotor":
         return []
-    # from the air to the ground, on which it stays: a slow link has one sample of the fall
+    # the span lasts from the air to the ground, where the vehicle stays: a slow link has one sample of the fall
     spans = spans_where(attitude.time_s, tilts_deg(attitude) > _UPSIDE_DOWN, _ON_ITS_BACK_S)
     begun = facts.in_flight(np.array([start for start, _ in spans]))
     return [span for span, flies in zip(spans, begun, strict=True) if flies and not undisturbed(facts, span[0])]
 
 
 def tilts_deg(attitude: LogSignal) -> Floats:
-    """Return by how much a vehicle leans (n,), degrees: nose up or down roll alone jumps, and says nothing of it."""
+    """Return a vehicle's tilt (n,), degrees; roll alone jumps when the nose points up or down."""
     roll, pitch = np.cos(np.radians(attitude.values[:, :2].T))
     return np.asarray(np.degrees(np.arccos(roll * pitch)))
 
 
 def undisturbed(facts: LogFacts, start_s: float) -> bool:
-    """Return whether accelerometers and barometer say that a vehicle stood still, whatever its attitude says.
+    """Return whether accelerometers and barometer show that a vehicle stood still, whatever its attitude is.
 
-    A vehicle that has turned over falls, and meets the ground: an attitude without either is the estimator's error.
+    A vehicle that has turned over falls, and hits the ground: an attitude without either is the estimator's error.
     """
     force, fell = facts.signal("acceleration"), _fall(facts.signal("height"), start_s)
     if not force or fell is None:
@@ -96,7 +100,7 @@ def undisturbed(facts: LogFacts, start_s: float) -> bool:
 
 
 def lost_s(facts: LogFacts) -> float:
-    """Return when control was lost, as far as can be seen; the log's end where it was not."""
+    """Return the time of the visible loss of control; the log's end if there was none."""
     ends = [start for start, _, _ in stops(facts)] + [start for start, _ in tumbles(facts)]
     return min(ends, default=facts.duration_s)
 
@@ -109,12 +113,12 @@ def in_control(facts: LogFacts, time_s: Floats) -> NDArray[np.bool_]:
 def spans_in_control(
     facts: LogFacts, signal: LogSignal, holds: NDArray[np.bool_], least_s: float
 ) -> list[tuple[float, float]]:
-    """Return from when to when a condition on n samples of a signal held in flight, before control was lost."""
+    """Return the spans in which a condition on n samples of a signal held in flight, before control was lost."""
     return spans_where(signal.time_s, holds & in_control(facts, signal.time_s), least_s)
 
 
 def speed(facts: LogFacts) -> LogSignal:
-    """Return how fast a vehicle went over the ground (m/s), by its receiver's way over a second."""
+    """Return a vehicle's speed over ground (m/s), from its receiver's path over a second."""
     way = facts.signal("position")
     times = way.time_s
     before = np.maximum(np.searchsorted(times, times - _PACE_S, side="right") - 1, 0)

@@ -1,4 +1,4 @@
-"""One motor was commanded to its most for long, and the vehicle still turned towards it."""
+"""One motor was at full command for long, and the vehicle still turned towards it."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ from replay.review.findings.loss_of_control import FAST_M_S, FULL, spans_in_cont
 from replay.review.findings.rule import Judgement, Rule
 
 _APART = 0.25
-"""Chosen: how much less the others' mean is. Hard climbs take all motors to their most together; turns in yaw, two."""
+"""Smallest difference to the others' median. Chosen: hard climbs take all motors to full command together; turns in
+yaw, two."""
 _LEAST_S = 1.0
-"""ArduPilot's thrust-loss check waits as long; a hard turn has motors at their most for less."""
+"""Shortest time at full command, seconds: ArduPilot's thrust-loss check waits as long; a hard turn takes less."""
 
 _STEEP_DEG = 25.0
-"""Tilt wanted beyond which a vehicle gathers speed (4.6 m/s2 and more), whose drag and lift turn it as a weak motor
-does: what sticks held at their end ask for is more (ArduPilot's ANGLE_MAX 30 degrees, PX4's MPC_MAN_TILT_MAX 35)."""
+"""Wanted tilt beyond which a vehicle gathers speed (4.6 m/s2 and more), so that drag and lift turn it as a weak motor
+does. Sticks held at their end demand more (ArduPilot's ANGLE_MAX 30 degrees, PX4's MPC_MAN_TILT_MAX 35)."""
 _TURN_DEG, _TURN_S = 60.0, 1.0
-"""As fast as autopilots turn a copter about the vertical (ArduPilot's ATC_SLEW_YAW 60 degrees/s, PX4's MPC_YAWRAUTO_MAX
-60): what turns faster is told to by sticks or spins, and its motors go to their ends for that."""
+"""Largest turn about the vertical that autopilots command, degrees in a second (ArduPilot's ATC_SLEW_YAW 60 degrees/s,
+PX4's MPC_YAWRAUTO_MAX 60): a faster turn is commanded by sticks or is a spin, and takes its motors to their limits."""
 
 
 def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
     if len(motors.names) < 4:
         return
-    # there the air turns a fast vehicle, too
+    # in a dash the air turns the vehicle, too
     dashes = (np.abs(facts.signal("attitude_wanted").at(motors.time_s)[:, :2]) > _STEEP_DEG).any(axis=1)
     dashes |= speed(facts).at(motors.time_s)[:, 0] > FAST_M_S
     for k, name in enumerate(motors.names):
@@ -46,14 +47,17 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
 
 
 def _beside(own: Floats, others: Floats) -> NDArray[np.bool_]:
-    """Return where another of n motors (m) is nearer to one's command (n,) than to the rest: they turn the vehicle."""
+    """Return the samples (n,) at which one of the other motors (n, m) is nearer to this command than to the rest's.
+
+    Two such motors turn the vehicle.
+    """
     in_order = np.sort(others, axis=1)
     second = in_order[:, -1]
     return np.asarray(own - second < second - np.median(in_order[:, :-1], axis=1))
 
 
 def _turned_deg(facts: LogFacts, before_s: float) -> float:
-    """Return by how much a vehicle turned about the vertical in the second before a time, there and back."""
+    """Return the angle by which a vehicle turned about the vertical in the second before a time, both ways added."""
     yaw = facts.signal("attitude").during(before_s - _TURN_S, before_s).values[:, 2:]
     return float(degrees_apart(yaw[1:], yaw[:-1]).sum())
 
@@ -74,5 +78,5 @@ RULE = Rule(
     plots=("motors", "attitude", "rpm"),
     judge=_judge,
     multirotor=True,
-    least_hz=4.0,  # of a second four samples
+    least_hz=4.0,  # four samples in a second
 )

@@ -11,10 +11,11 @@ from replay.review.findings.loss_of_control import STOPPED, spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _LEAST_S = 1.5
-"""Measured: at full sticks a saturated mixer keeps single motors at zero for up to 0.5 s; three times that."""
+"""Shortest stop, seconds. Measured: at full sticks a saturated mixer keeps single motors at zero for up to 0.5 s; three
+times that."""
 _FLYING = 0.2
 """Share of full command above which the others' median carries a vehicle: the strongest vehicles hover from 0.15 on,
-at which a saturated mixer takes single motors to zero."""
+and there a saturated mixer takes single motors to zero."""
 
 
 def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:

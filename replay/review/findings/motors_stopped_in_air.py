@@ -1,4 +1,4 @@
-"""All motors were commanded to stop in the air, by the landing detector or somebody or something else."""
+"""All motors were commanded to stop in the air, by the landing detector, a person or another part of the autopilot."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from replay.review.findings.loss_of_control import stops
 from replay.review.findings.rule import Judgement, Rule
 
 _NEAR_S = 1.5
-"""Chosen: statements of state are logged once or twice a second by default."""
+"""Time around the stop in which a statement may be its cause, seconds. Chosen: statements of state are logged once or
+twice a second by default."""
 _LANDED_S = (-2.0, 0.5)
-"""Seconds from the stop in which a landing detector may have asked for it: PX4 stops motors at once and disarms after
-2 s (COM_DISARM_LAND), ArduPilot after 0.5 to 10 s (DISARM_DELAY). What it says later is a touch-down."""
+"""Time from the stop in which a landing detector may have caused it, seconds: PX4 stops motors at once and disarms
+after 2 s (COM_DISARM_LAND), ArduPilot after 0.5 to 10 s (DISARM_DELAY). A later report is a touch-down."""
 
 
 def _judge(facts: LogFacts, motors: LogSignal, height: LogSignal) -> Iterator[Judgement]:

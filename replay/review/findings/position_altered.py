@@ -1,4 +1,4 @@
-"""The autopilot's controller flew by a position that its estimator did not have."""
+"""The autopilot's controller used a position that its estimator did not have."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from replay.review.findings.loss_of_control import spans_in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _APART_M = 2.5
-"""Metres by which half of a receiver's fixes are off (data sheet of u-blox's M8): less takes nobody off course.
-Measured in 88 logs without such an attack: 0.0 m, and on ten real flights, whose estimator changed its lane, up to
-63 m for less than a second."""
+"""Metres that half of a receiver's errors exceed (data sheet of u-blox's M8): a smaller difference takes no vehicle off
+course. Measured: 0.0 m in 88 logs without such an attack, and up to 63 m for less than a second on ten real flights
+whose estimator changed its lane."""
 _LEAST_S = 1.0
-"""A reset or a change of lane reaches the controller with the next record, a tenth of that later."""
+"""Shortest difference, seconds: a reset or a change of lane reaches the controller with the next record, a tenth of
+that later."""
 
 
 def _judge(facts: LogFacts, apart: LogSignal) -> Iterator[Judgement]:

@@ -8,14 +8,15 @@ from replay.review.findings.learned_alarms import alarms_of
 from replay.review.findings.rule import Rule
 
 _OUTSIDE = 3.0
-"""Measured on fifteen healthy flights learned from their first 40 s: alarms of GPS that last come up to 1.9 times their
-threshold (wind that the begin did not have), of gyros and accelerometers none lasts. Of faults they are 3.2 times and
-more; smaller ones stay information."""
+"""Ratio to the threshold from which an alarm is more than information. Measured on fifteen healthy flights learned from
+their first 40 s: lasting alarms of GPS reach up to 1.9 times their threshold (wind that the begin did not have), and
+no alarm of gyros and accelerometers lasts. Alarms of faults reach 3.2 times and more; smaller ones stay information."""
 
 
 _CHANNELS = {("gyro_", "accel_"): 1.0, ("gps_", "baro", "motion_"): _OUTSIDE, ("compass",): inf}
-"""How many times its threshold an alarm has to be, by the begin of the channel's name. Of a compass it stays
-information: its error goes with the heading, of which 40 s show a few (14 degrees in a healthy flight that turned)."""
+"""Ratio to the threshold that an alarm has to reach, by the begin of the channel's name. An alarm of a compass stays
+information: the compass error depends on the heading, and 40 s show few headings (14 degrees in a healthy flight
+that turned)."""
 
 
 RULE = Rule(

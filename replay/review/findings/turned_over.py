@@ -10,7 +10,7 @@ from replay.review.findings.rule import Judgement, Rule
 
 _ON_PURPOSE = ("Acro", "ACRO", "FLIP", "RATTITUDE")
 _STAYED_S = 1.0
-"""Chosen: who is on its back so shortly before the flight ends did not fly on."""
+"""Time before the flight's end, seconds. Chosen: a vehicle that is upside down in it did not fly on."""
 
 
 def _judge(facts: LogFacts, attitude: LogSignal, _: LogSignal) -> Iterator[Judgement]:

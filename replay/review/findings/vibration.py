@@ -1,4 +1,4 @@
-"""Vibration was so strong that accelerometers cannot be trusted."""
+"""Vibration was so strong that the accelerometers cannot be trusted."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from replay.review.findings.loss_of_control import in_control
 from replay.review.findings.rule import Judgement, Rule
 
 _ARDUPILOT, _PX4 = 60.0, 9.81
-"""m/s2. ArduPilot's documentation: above 60 problems with height are nearly certain (below 30 is normal); PX4's
-flight review draws its metric red from 9.81 on."""
+"""Limits of vibration, m/s2. ArduPilot's documentation: above 60 problems with height are nearly certain (below 30 is
+normal); PX4's flight review draws its metric red from 9.81 on."""
 _SHARE = 0.2
-"""Chosen: over a fifth of the flight; single peaks are landings and touches."""
+"""Smallest share of the flight above the limit. Chosen: a fifth; single peaks are landings and touches."""
 _CLIPPED = 100
-"""ArduPilot's documentation: a steadily rising count of clipping, above 100 in a flight, is a problem."""
+"""Smallest count of clipped samples in a flight. ArduPilot's documentation: a steadily rising count, above 100 in a
+flight, is a problem."""
 _BLOW = 2
-"""Records in which a blow shows, where it falls between two: a count that rises in no more does not rise steadily."""
+"""Records that may show one blow, if it falls between two: a count that rises in no more records does not rise
+steadily."""
 
 
 def _judge(facts: LogFacts, vibration: LogSignal) -> Iterator[Judgement]:
