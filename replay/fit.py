@@ -163,10 +163,7 @@ class _Before(NamedTuple):
 
 
 class _ReadLogs(NamedTuple):
-    """The recordings of a fit, the ones that the profile keeps first.
-
-    The results of their survey, and the new recordings.
-    """
+    """The recordings of a fit, the kept ones first, with their surveys, and the new ones among them."""
 
     logs: Sequence[BatchSource]
     names: Sequence[str]
@@ -223,9 +220,9 @@ class _OwnObserver(NamedTuple):
 
 
 def _own_observer(kind: VehicleKind, request: FitRequest, surveyed: Sequence[SurveyedLog]) -> _OwnObserver:
-    """Fit a vehicle's own observer without the flights that disagree with the others.
+    """Fit a vehicle's own observer, without flights that disagree with the others.
 
-    If the recordings do not allow it, fit the observer of the sensors instead.
+    If that fails, the sensors' observer.
     """
     try:
         fitted, gate = load(kind.fit)(request)
@@ -289,19 +286,13 @@ _LONGEST_NAME = 64
 
 
 def name_by_folder(folder: Path) -> str:
-    """Return the name of a vehicle, made from its profile's folder.
-
-    Hyphens replace letters that a name may not have.
-    """
+    """Return a vehicle's name made from its profile's folder; hyphens replace letters that a name may not have."""
     name = re.sub(r"[^A-Za-z0-9_-]", "-", folder.resolve().name)
     return (name if name[:1].isalpha() else f"vehicle-{name}")[:_LONGEST_NAME]
 
 
 def survey_log(name: str, log: BatchSource, known: Identity | None = None) -> SurveyedLog:
-    """Read a recording once, for the vehicle whose messages are fitted.
-
-    ``known`` is the identity that it is known to have.
-    """
+    """Read a recording once, for the vehicle whose messages are fitted; ``known`` is its known identity."""
     reports: dict[int, Reports] = {}
     systems: set[int] = set()
 
@@ -364,10 +355,7 @@ def profile_content(name: str, kind: str, gate: GateRule, report: FitReport, ide
 
 
 def write_profile(folder: Path, name: str, report: FitReport, content: Mapping[str, Any]) -> Path | None:
-    """Write the fitted observers as a profile folder.
-
-    Return the file to which a different earlier profile.toml was moved.
-    """
+    """Write the fitted observers as a profile folder; return the file to which another profile.toml was moved."""
     folder.mkdir(parents=True, exist_ok=True)
     for fitted in report.observers:
         fitted.write(folder)

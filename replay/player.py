@@ -66,10 +66,7 @@ class Replay:
     conditions: tuple[FlightCondition, ...] = ()  # observed conditions that are no faults, in their order
 
     def unwatched(self, end_ns: int) -> list[tuple[str, float]]:
-        """Return the reasons why nothing was watched, and for how long each, in seconds.
-
-        The recording ends at ``end_ns``.
-        """
+        """Return why nothing was watched, and for how many seconds each; the recording ends at ``end_ns``."""
         spans = [span for span in alarm_spans(self.events) if (span.observer, span.channel) == (OBSERVER, CHANNEL)]
         return [
             (span.history[0].message, max(0, (end_ns if span.end_ns is None else span.end_ns) - span.start_ns) / 1e9)

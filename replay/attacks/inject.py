@@ -150,10 +150,7 @@ def _truth(log: Path, sender: Senders, faults: list[dict[str, Any]]) -> dict[str
 
 
 def _earlier(log: Path) -> list[dict[str, Any]]:
-    """Return the faults that an MCAP file is known to hold already.
-
-    Raise TelemetryError if these entries are damaged.
-    """
+    """Return the faults that an MCAP file holds already; raise TelemetryError if their entries are damaged."""
     text = read_mcap_metadata(log).get(TRUTH, {}).get("json")
     try:
         return list(json.loads(text)["faults"]) if text else []

@@ -124,10 +124,7 @@ def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, s
 
 
 def _field(channel: str, names: frozenset[str], clocks: Mapping[str, Channel]) -> Channel | None:
-    """Return the channel that ``MESSAGE.field`` means.
-
-    A Zenoh key may hold dots itself, so the longest matching name wins.
-    """
+    """Return the channel that ``MESSAGE.field`` means; a Zenoh key may hold dots itself, so the longest name wins."""
     places = [place for place, letter in enumerate(channel) if letter == "." and channel[:place] in names]
     if not places or places[-1] == len(channel) - 1:
         return None

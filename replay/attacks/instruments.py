@@ -190,10 +190,7 @@ def _pressure(message: str, name: str) -> Quantity:
 
 
 def _compass(message: str) -> Quantity:
-    """Return the heading of the levelled field.
-
-    To write it, turn the field about the vertical by the difference in heading.
-    """
+    """Heading of the levelled field; to write another heading, the field is turned about the vertical."""
 
     def read(fields: MessageFields, scene: AttackScene) -> float | None:
         x, y, z = fields["xmag"], fields["ymag"], fields["zmag"]

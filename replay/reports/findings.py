@@ -87,7 +87,7 @@ class WatchedChannel:
 def effects(profile: Profile) -> dict[tuple[str, str], EffectivenessRule]:
     """Return the channels, by observer and name, whose alarms judge the lost effect of an actuator.
 
-    What is shown of them is not the estimate of their fault, so the standard deviation of that estimate does not apply.
+    Their alarms show the lost effect instead of the estimated fault, so that its standard deviation does not apply.
     """
     return {
         (observer.name, name): rule for observer in profile.observers for name, rule in observer.effectiveness.items()
