@@ -111,7 +111,7 @@ def fit(
     model : str | PathLike | None
         Plant model with free parameters; only for ``custom``.
     force : bool
-        Whether to go on where a recording says it is of another kind of vehicle, or of another vehicle than the first.
+        Whether to go on if a recording reports another kind of vehicle, or another vehicle than the first recording.
     rate_hz : float | None
         Samples per second of the vehicle's own observer; None: as fast as its messages allow.
     start_s, end_s : float

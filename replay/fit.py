@@ -220,10 +220,7 @@ class _OwnObserver(NamedTuple):
 
 
 def _own_observer(kind: VehicleKind, request: FitRequest, surveyed: Sequence[SurveyedLog]) -> _OwnObserver:
-    """Fit a vehicle's own observer, without flights that disagree with the others.
-
-    If that fails, the sensors' observer.
-    """
+    """Fit a vehicle's own observer, without flights that disagree; if that fails, the observer of the sensors."""
     try:
         fitted, gate = load(kind.fit)(request)
     except UntoldError as error:

@@ -24,7 +24,7 @@ AttackSignal = Callable[[int], float]
 Change = Callable[[int, float], float]
 
 DEFAULT_ACCELERATION = 0.5
-"""Largest acceleration of a spoof, m/s^2. Chosen: gentler than any manoeuvre, so that the spoof is detected and not its
+"""Default acceleration of a spoof, m/s^2. Chosen: gentler than any manoeuvre, so that the spoof is detected and not its
 start."""
 _FLAGS = {"size": "--size", "rate": "--rate", "acceleration": "--accel", "source_ns": "--from"}
 

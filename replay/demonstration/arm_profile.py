@@ -63,7 +63,7 @@ def write_arm_profile(folder: Path) -> Profile:
     """Design the arm's observer, calibrate its alarms on a healthy disturbed run, and write the profile.
 
     The faults may move at 20 units per second: the paper's jump, and a bound sized for slow faults would smooth them.
-    Gains cost next to nothing: the sensor fault is then estimated down to the noise that hides in it.
+    The weight of the gains is tiny, so that the sensor fault is estimated down to the noise level.
     """
     plant = builtin_model(MODEL)
     plant = replace(plant, faults=tuple(replace(fault, rate=_FAULT_RATE) for fault in plant.faults))

@@ -238,7 +238,7 @@ class _Row:
 
 
 def plot_png(path: str | os.PathLike[str], run: RunView, title: str = "", *, dark: bool = False) -> None:
-    """Draw a run as a PNG, 8 inches wide; up to 16 high, panels of faults shrink to 0.4 before it grows beyond.
+    """Draw a run as a PNG, 8 inches wide; panels of faults shrink to 0.4 inches before it becomes higher than 16.
 
     Each observer has, under its name if there are several: a panel for each fault channel that had an alarm or whose
     truth is known, with its estimate within two standard deviations, its alarm threshold as a dotted band, the truth

@@ -152,7 +152,7 @@ def _together(observer: ObserverProfile) -> Iterator[Unchecked]:
 
 
 def _exclusive(names: Sequence[str], hypotheses: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return groups of faults that no hypothesis contains together, pair by pair."""
+    """Return groups of faults, linked by pairs that no hypothesis contains."""
     groups: list[set[str]] = []
     for pair in combinations(names, 2):
         if any(set(pair).issubset(hypothesis) for hypothesis in hypotheses):

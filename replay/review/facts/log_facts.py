@@ -59,10 +59,7 @@ class LogSignal:
         return np.asarray(self.values[:, 0], np.float64)
 
     def changes(self, of: Callable[[Floats], NDArray[Any]] = np.asarray) -> list[tuple[float, float]]:
-        """Return the times at which a function of the first column changed, with its new values.
-
-        The first value is included.
-        """
+        """Return the times at which a function of the first column changed, and its values, the first included."""
         values = of(self.only)
         new = np.concatenate([[True], values[1:] != values[:-1]])[: len(values)]
         return [(float(self.time_s[row]), float(values[row])) for row in np.flatnonzero(new)]

@@ -47,10 +47,7 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
 
 
 def _beside(own: Floats, others: Floats) -> NDArray[np.bool_]:
-    """Return the samples (n,) at which one of the other motors (n, m) is nearer to this command than to the rest's.
-
-    Two such motors turn the vehicle.
-    """
+    """Return the samples (n,) at which another motor is nearer to this one than to the rest: both turn the vehicle."""
     in_order = np.sort(others, axis=1)
     second = in_order[:, -1]
     return np.asarray(own - second < second - np.median(in_order[:, :-1], axis=1))
