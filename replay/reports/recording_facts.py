@@ -14,8 +14,8 @@ from adapters.source import Source
 GAP_S = 0.5
 """Shortest gap, seconds: observers restart after such a silence (monitor/sampling)."""
 GAP_PERIODS = 10.0
-"""Shortest gap, periods of the message. A gap exceeds both limits: rare messages have no gaps, nor has the jitter of
-frequent ones."""
+"""Shortest gap, periods of the message. A gap exceeds both limits: otherwise rare messages, or the jitter of frequent
+ones, would be gaps."""
 MOST_GAPS = 1000
 """Gaps that are kept of a message. Chosen: more of them do not improve the report, and their memory has to be
 bounded."""
