@@ -199,6 +199,7 @@ class ChainRun:
     effects: Mapping[int, EffectivenessRun]
     found: EstimatorRun  # the estimator's own result, in effect units
     scale: NDArray[np.float64]  # how many times its threshold each fault has to reach (n, a), 1 or more
+    size_sd: NDArray[np.float64]  # the standard deviation of each fault's size as an event gives it (n, a)
     sudden_sd: NDArray[np.float64] | None  # the standard deviation of a sudden change's size (n,)
     unflown: NDArray[np.bool_] | None = None  # rows whose y counts as lost because it is unlike the fitted flights (n,)
 
@@ -208,7 +209,7 @@ class ChainRun:
         if alarm < len(self.faults):
             fault = self.faults[alarm]
             # The estimate that clears an alarm has no fault to tell of.
-            sd = None if code == CLEARED else self.estimates.sd[:, fault]
+            sd = None if code == CLEARED else self.size_sd[:, fault]
             if (effect := self.effects.get(fault)) is not None:
                 relative = effect.share
             else:
@@ -423,10 +424,12 @@ class ObserverChain:
             sizes[:, index] = effect.size
             with np.errstate(divide="ignore", invalid="ignore"):
                 sd[:, index] = np.where(effect.size == 0.0, sd[:, index], np.abs(effect.size) / effect.score)
-        healthy_sd, sd = sd, self._uncertainty.of_sizes(sd, sizes, found.level)
+        wide = self._uncertainty.of_sizes(sd, sizes, found.level)
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
         for index, effect in effects.items():
             shown.isolated[:, index], shown.sd[:, index] = effect.size, sd[:, index]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            size_sd = shown.sd * (wide / sd)
         estimates = Estimates(
             observer=self.layout.observer,
             samples=samples,
@@ -438,7 +441,7 @@ class ObserverChain:
             sd=shown.sd,
             coasted_s=self._since_measured.run(samples.vehicle_time_ns, samples.measured, samples.restart),
         )
-        return self._with_evidence(estimates, position, found, effects, shown.commands, given, healthy_sd)
+        return self._with_evidence(estimates, position, found, effects, shown.commands, given, sd, size_sd)
 
     def _larger(self, given: Given) -> NDArray[np.float64] | None:
         """Return how many times larger each fault's size is for being unlike the fitted flights (n, a)."""
@@ -458,7 +461,8 @@ class ObserverChain:
         effects: Mapping[int, EffectivenessRun],
         commands: Mapping[int, NDArray[np.float64]],
         given: Given,
-        healthy_sd: NDArray[np.float64],
+        sd: NDArray[np.float64],
+        size_sd: NDArray[np.float64],
     ) -> ChainRun:
         samples, beyond = given.samples, given.beyond
         excitation = None if self._excitation is None else self._excitation.run(samples, found.level)
@@ -486,7 +490,7 @@ class ObserverChain:
             else:
                 changes = self._command.of_change(changes, commands)
                 # A position that wanders in health has some of that in any jump; an input's fault is a share instead.
-                wander = np.where(self._scales[changes.named], 0.0, healthy_sd[np.arange(len(samples)), changes.named])
+                wander = np.where(self._scales[changes.named], 0.0, sd[np.arange(len(samples)), changes.named])
                 changes = changes._replace(sd=np.hypot(changes.sd, wander))
         if changes is not None:
             changes = known_together(changes, position)
@@ -502,7 +506,7 @@ class ObserverChain:
             speaking,
             alarm_scale,
             **({} if changes is None else self._named(changes)),
-            sd=estimates.sd[:, self._faults],
+            sd=size_sd[:, self._faults],
         )
         return ChainRun(
             estimates,
@@ -514,6 +518,7 @@ class ObserverChain:
             effects,
             found,
             scale,
+            size_sd,
             None if changes is None else changes.sd,
             given.unflown,
         )

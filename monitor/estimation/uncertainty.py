@@ -6,7 +6,7 @@ designed for, so their covariance is P+ = A P A^T + B B^T. While all is measured
 equation P = A P A^T + B B^T and nothing has to be computed; after a loss or a restart it is stepped until it is back.
 
 The scales are those of healthy flight (:mod:`monitor.fitting.spread`). A fault brings errors that healthy flight does
-not have, so the standard deviation that is shown is
+not have, so the standard deviation of an alarm's size is
 
     sqrt(lambda P + way^2 + (SHARE f)^2),     way = max(0, |f(t) - f(t - LAG_S)| - 2 sqrt(lambda P)),
 
@@ -97,7 +97,7 @@ class Uncertainty:
     def of_sizes(
         self, sd: NDArray[np.float64], sizes: NDArray[np.float64], level: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the standard deviation of the next n sizes shown (n, a), of which ``sd`` is that of healthy flight.
+        """Return the standard deviation of n sizes of alarms (n, a); ``sd`` is that of healthy flight.
 
         ``level`` is how many times that of healthy flight the residuals' mean square is (n,).
         """
