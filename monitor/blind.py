@@ -32,52 +32,52 @@ if TYPE_CHECKING:
 OBSERVER: Final = MONITOR
 CHANNEL: Final = "blind"
 LIMIT_NS = 5_000_000_000
-"""Twice the longest time without evidence of a sensor in flight over 90 recordings: 2.5 s, of a GPS over a radio; of
-onboard links and logs 0.2 s."""
+"""Time without evidence that raises the alarm: twice the longest time without evidence of a sensor in flight over 90
+recordings, which is 2.5 s for a GPS over a radio, and 0.2 s for onboard links and logs."""
 _LEAST_SAMPLES = 3
-"""Of an observer so slow that it has fewer samples in that time, as many have to lack. Over a radio at 1,200 bytes a
-second it has one in 6.8 s; chosen, as one may be lost."""
+"""Least number of missing samples that raises the alarm, for an observer that has fewer in that time. Over a radio at
+1,200 bytes a second an observer has one in 6.8 s; chosen, since one may be lost."""
 _AFTER_RESTART_NS = SECOND_NS
-"""What an observer that settles for 5 s is granted beyond after a restart, of a reboot for instance: until its samples
-come again, for which a second was enough in all recordings that a reboot was put into."""
+"""Time beyond settling for which no evidence is expected after a restart, after a reboot for instance: until samples
+come again, for which a second was enough in all recordings with an inserted reboot."""
 _SLOT_NS = 500_000_000
-"""How often an active alarm is looked at. Chosen: its end is known half a second late at most."""
+"""Period at which an active alarm is checked. Chosen: its end is known half a second late at most."""
 _UPDATE_NS = SECOND_NS
-"""Updates come at most once a second, as those of all alarms do."""
+"""Least time between updates, the same as for all alarms."""
 _SHARE_S = 60
-"""The last minute, of which the status gives the share with evidence."""
+"""Length of the time before now, seconds, of which the status gives the share with evidence."""
 _SENSORS = {"gps": "GPS", "lat": "GPS", "lon": "GPS", "baro": "barometer", "heading": "compass", "xmag": "compass"}
-"""By the first part of a channel's name; other channels go by their messages."""
+"""Sensors by the first part of a channel's name; other channels are grouped by their messages."""
 
 
 @dataclass(slots=True)
 class _Group:
-    """Outputs of an observer that stand or fall together."""
+    """Outputs of an observer that have or lack evidence together."""
 
-    label: str  # the sensor's name; empty for those of an observer that have none of their own
+    label: str  # the sensor's name; empty for outputs that belong to no sensor
     messages: tuple[str, ...]
-    columns: list[int]  # among the observer's outputs
-    since_ns: int = 0  # Unix time from which evidence is waited for: of the last that came
-    granted_ns: int = LIMIT_NS  # how long it is waited for
-    evidence_ns: int = 0  # when it came last; 0: never
+    columns: list[int]  # indices among the observer's outputs
+    since_ns: int = 0  # Unix time from which evidence is awaited: that of the last evidence
+    granted_ns: int = LIMIT_NS  # how long evidence is awaited
+    evidence_ns: int = 0  # when the last evidence came; 0: never
 
 
 @dataclass(frozen=True, slots=True)
 class Watching:
-    """How an observer watches now."""
+    """The state of an observer's evidence now."""
 
-    share: float  # of the last minute of vehicle time in which it had evidence
-    last_ns: int | None  # Unix time of its last evidence; None: it had none
-    why_not: str | None  # a word for what keeps it from having evidence; None where nothing does
-    sensors: Mapping[str, int | None]  # when each of its sensors had evidence last
+    share: float  # share of the last minute of vehicle time in which it had evidence
+    last_ns: int | None  # Unix time of its last evidence; None: never
+    why_not: str | None  # a word for the reason why it has no evidence; None if it has
+    sensors: Mapping[str, int | None]  # when each of its sensors last had evidence
 
     def age_s(self, now_ns: int) -> float | None:
-        """Return the time since it had evidence, seconds; None where it never had."""
+        """Return the time since its last evidence, seconds; None if it never had any."""
         return None if self.last_ns is None else max(0.0, (now_ns - self.last_ns) / 1e9)
 
 
 class EvidenceFlow:
-    """What one observer had of evidence."""
+    """Times and reasons of one observer's evidence."""
 
     def __init__(self, chain: ObserverChain) -> None:
         self.chain = chain
@@ -95,10 +95,11 @@ class EvidenceFlow:
         }
         self.groups = [_Group(label, named[label], columns) for label, columns in grouped.items()]
         self.limit_ns = max(LIMIT_NS, round(_LEAST_SAMPLES * 1e9 / layout.rate_hz))
-        # A message that long away is why: over a radio the longest step of one was 2.5 s (LIMIT_NS).
+        # A message that has been missing for this long is the reason: over a radio the longest step was 2.5 s
+        # (LIMIT_NS).
         self.missing_ns = self.limit_ns // 2
         self.settle_ns = round(chain.settle_s * 1e9)
-        # Before its first sample each message has to come twice, and the next one to show that none is late.
+        # Before the first sample each message has to come twice, and the next one has to show that none is late.
         self.first_ns = self.limit_ns + max(self.settle_ns, round(_LEAST_SAMPLES * 1e9 / layout.rate_hz))
         self._inputs = len(layout.inputs)
         self._rows_ns = 0
@@ -107,7 +108,7 @@ class EvidenceFlow:
         self._seconds: deque[tuple[int, int]] = deque()
 
     def wait_from(self, now_ns: int) -> None:
-        """Expect nothing until a Unix time, and evidence as long after it as settling takes and the alarm grants."""
+        """Expect no evidence until a Unix time; after it, allow the time for settling and the alarm's own."""
         for group in self.groups:
             if now_ns >= group.since_ns:
                 group.since_ns, group.granted_ns = now_ns, self.limit_ns + self.settle_ns
@@ -121,13 +122,13 @@ class EvidenceFlow:
         self.messages[name] = last_ns
 
     def follow(self, run: ChainRun, received: Callable[[int], int]) -> None:
-        """Follow samples; ``received`` says when the message of a position arrived."""
+        """Follow samples; ``received`` returns when the message of a position arrived."""
         armed, samples, position = run.estimates.armed, run.estimates.samples, run.position
         self._rows_ns = received(int(position[-1]))
         lost = samples.lost[:, self._inputs :]
         came = armed
         if run.unflown is not None:
-            # Telemetry that comes and is unlike the fitted flights lacks nothing.
+            # Telemetry that comes but is unlike the fitted flights is not missing.
             lost, came = lost & ~run.unflown[:, None], armed | run.unflown
         is_lost = bool(lost.any())
         self._lost = tuple(self._labels(lost[-1])) if is_lost else ()
@@ -135,7 +136,7 @@ class EvidenceFlow:
         if restarts.size:
             restart_ns, again_ns = received(int(position[restarts[-1]])), self.settle_ns + _AFTER_RESTART_NS
             for group in self.groups:
-                # Before the first evidence settling begins anew, but not without end.
+                # Before the first evidence, settling begins anew, but not for ever.
                 gone_ns = 0 if group.evidence_ns else min(restart_ns - group.since_ns, self.limit_ns + self.settle_ns)
                 group.granted_ns = max(group.granted_ns, gone_ns + again_ns)
         if not cames.size:
@@ -162,9 +163,9 @@ class EvidenceFlow:
         return any(not group.evidence_ns and now_ns - group.since_ns < group.granted_ns for group in self.groups)
 
     def lacks(self, now_ns: int, contested: bool, *, any_message: bool) -> list[tuple[str, str]]:
-        """Return what keeps evidence that is overdue, for people and as the status's word.
+        """Return the reasons of overdue evidence, in people's words and as the status's word.
 
-        ``any_message`` says whether messages count that never came.
+        ``any_message`` is whether messages that never came are reasons.
         """
         self._overdue = [now_ns - group.since_ns >= group.granted_ns for group in self.groups]
         if True not in self._overdue:
@@ -179,7 +180,7 @@ class EvidenceFlow:
         ]
 
     def reason(self, now_ns: int, vehicle_contested: bool) -> tuple[str, str]:
-        """Return why the observer has no evidence, for people and as the status's word."""
+        """Return why the observer has no evidence, in people's words and as the status's word."""
         missing = [name for name, came_ns in self.messages.items() if now_ns - came_ns >= self.missing_ns]
         if vehicle_contested:
             return "telemetry that contradicts itself", "contradicted"
@@ -200,7 +201,7 @@ class EvidenceFlow:
         return "estimates without time to settle", "settling"
 
     def watching(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> Watching:
-        """Return how it watches at a Unix time."""
+        """Return the state of its evidence at a Unix time."""
         second = vehicle_ns // SECOND_NS
         while self._seconds and not second - _SHARE_S <= self._seconds[0][0] <= second:
             self._seconds.popleft()
@@ -221,7 +222,7 @@ class EvidenceFlow:
                 yield self._name_of(group)
 
     def _name_of(self, group: _Group) -> str:
-        # messages that come all the same may be too late, or of no time that can be told
+        # messages that come without evidence may be too late, or have no usable time
         return group.label or f"usable {' and '.join(group.messages) or self.name}"
 
     def _label_of(self, message: str) -> str:
@@ -229,7 +230,7 @@ class EvidenceFlow:
 
 
 class BlindAlarm:
-    """State of the alarm of a vehicle that flies without being watched."""
+    """State of the alarm of a vehicle that flies and is not watched."""
 
     def __init__(self, vehicle: str, chains: Sequence[ObserverChain]) -> None:
         self._vehicle = vehicle
@@ -239,7 +240,7 @@ class BlindAlarm:
             for name in flow.messages:
                 self._receivers.setdefault(name, []).append(flow)
         new = newly_watched(chain.layout.faults for chain in chains)
-        # what an observer beside a faster one of the same faults lacks blinds nobody
+        # an observer beside a faster one of the same faults is not needed: without it, the vehicle is not blind
         self._needed = [flow for flow, faults in zip(self.flows, new, strict=True) if faults]
         self._active: AlarmEvent | None = None
         self._slot = 0
@@ -256,14 +257,14 @@ class BlindAlarm:
         if self._active is not None:
             return (self._slot + 1) * _SLOT_NS
         if not flying:
-            # Should it take off among the messages to come, evidence would be overdue this much later at the earliest.
+            # If the vehicle takes off during the next messages, evidence is overdue this much later at the earliest.
             return now_ns + LIMIT_NS
         due = [group.since_ns + group.granted_ns for flow in self._needed for group in flow.groups]
-        # What is overdue already is so for good, or until a message comes for the first time: that is waited for anew.
+        # Evidence that is overdue stays overdue, unless a message comes for the first time: then it is awaited anew.
         return min([now_ns + LIMIT_NS, *(due_ns for due_ns in due if due_ns > now_ns)])
 
     def receive(self, batch: Batch) -> None:
-        """Follow when messages of each name came."""
+        """Record when messages of each name came."""
         entries = [(one.name, int(one.received_ns[0]), int(one.received_ns[-1])) for one in batch.columns]
         entries += [(message.name, message.received_ns, message.received_ns) for message in batch.others.values()]
         if not self._received and entries:
@@ -274,7 +275,10 @@ class BlindAlarm:
                 flow.receive(name, first_ns, last_ns)
 
     def pause(self, now_ns: int) -> None:
-        """Expect no evidence while telemetry is stale, which its own alarm says; what was overdue before remains so."""
+        """Expect no evidence while telemetry is stale, which has its own alarm.
+
+        Evidence that was overdue before stays so.
+        """
         if self._active is None:
             self.wait_from(now_ns)
 
@@ -284,16 +288,16 @@ class BlindAlarm:
             flow.wait_from(now_ns)
 
     def process(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> list[AlarmEvent]:
-        """Let Unix time come to ``now_ns``; return the events that this causes.
+        """Advance the Unix time to ``now_ns``; return the events that this causes.
 
-        ``flying`` says whether evidence is expected, ``contested`` whether what arrives contradicts itself.
+        ``flying`` is whether evidence is expected, ``contested`` whether the telemetry contradicts itself.
         """
         if not self._started:
             self._started = True
             self.wait_from(now_ns)
         for flow in self.flows:
             for group in flow.groups:
-                # Of a clock that was set back.
+                # the time of a clock that was set back
                 if group.since_ns - now_ns >= SET_BACK_NS:
                     group.since_ns, group.evidence_ns = now_ns, min(group.evidence_ns, now_ns)
         slot, active = now_ns // _SLOT_NS, self._active
@@ -338,11 +342,11 @@ class BlindAlarm:
         return [self._active]
 
     def adopt(self, event: AlarmEvent) -> None:
-        """Go on from an event that another run of the monitor, or another monitor, made."""
+        """Continue from an event that an earlier run, or another monitor, has published."""
         self._active = None if event.state == "cleared" else event
 
     def watching(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> dict[str, Watching]:
-        """Return how each observer watches at a Unix time."""
+        """Return the state of each observer's evidence at a Unix time."""
         return {flow.name: flow.watching(now_ns, vehicle_ns, flying, contested) for flow in self.flows}
 
     def _clear(self, active: AlarmEvent, now_ns: int, vehicle_ns: int, flying: bool) -> AlarmEvent:
@@ -360,5 +364,5 @@ class BlindAlarm:
 
 
 def _sensor(channel: str) -> str:
-    """Return the sensor that a channel's name speaks of; empty where it speaks of none."""
+    """Return the sensor that a channel's name belongs to; empty if it belongs to none."""
     return _SENSORS.get(channel.partition("_")[0], "")

@@ -1,4 +1,4 @@
-"""Commands beside a vehicle: ``fauio record``, ``run``, ``recover``, ``alarms`` and what goes with it, and others."""
+"""Commands beside a vehicle: ``fauio record``, ``run``, ``recover``, ``alarms`` and its subcommands, and others."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _seconds(text: str) -> float:
 
 
 def _given(args: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
-    """Return what the command line says of the configuration."""
+    """Return the part of the configuration that the command line gives."""
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     if args.mavlink is not None or args.zenoh is not None:
         given |= {"mavlink": args.mavlink or (), "zenoh": args.zenoh or ()}
@@ -131,7 +131,7 @@ def _given(args: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
 
 
 def run_record(args: argparse.Namespace) -> int:
-    """Record until it is told to stop."""
+    """Record until a signal ends it."""
     from monitor.configuration.config import read_config
     from monitor.service.record_live import record_live
 
@@ -148,7 +148,7 @@ def run_record(args: argparse.Namespace) -> int:
 
 
 def run_run(args: argparse.Namespace) -> int:
-    """Run the daemon until it is told to stop."""
+    """Run the daemon until a signal ends it."""
     from monitor.configuration.config import read_config
     from monitor.service.live import run_live
 
@@ -164,7 +164,7 @@ def run_run(args: argparse.Namespace) -> int:
 
 
 def run_notify(args: argparse.Namespace) -> int:
-    """Send a test message to each outlet, so that nobody finds out at the first alarm that none comes."""
+    """Send a test message to each outlet, so that a broken outlet is found before the first alarm."""
     from adapters.errors import UsageError
     from monitor.configuration.config import read_config
     from monitor.event import fixed_rule_event

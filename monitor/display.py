@@ -1,4 +1,4 @@
-"""Sizes as people say them: the only place that makes words of a number and its unit."""
+"""Sizes in people's words: the only module that turns a number and its unit into words."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _UNITS: Mapping[str, tuple[float, str]] = {
     "share of messages": (100.0, "% of messages"),
     "share": (100.0, "%"),
 }
-"""What people say for a unit, and what its numbers are multiplied by for that."""
+"""People's name for a unit, and the factor from the unit to it."""
 _FRACTION, _LOGARITHM = "fraction of ", "natural logarithm of times"
 _SHARES: Mapping[str, str] = {
     "fraction of full command": "% of thrust",
@@ -27,15 +27,15 @@ _SHARES: Mapping[str, str] = {
     "fraction of usual resistance": "% of resistance",
 }
 _WHOLE_MINUTES = 5
-"""Chosen: who has more than that does not count seconds."""
+"""Minutes from which seconds are left out. Chosen: nobody counts seconds then."""
 _LARGEST = 1e30
-"""Beyond anything that is measured; sizes may come from a network."""
+"""Larger than any measurement; sizes may come from a network."""
 
 
 def display_unit(unit: str, usual_command: float | None = None) -> tuple[float, str]:
-    """Return what a size in a unit is multiplied by, and the unit that people say then.
+    """Return the factor from a unit to the one that people use, and the name of that unit.
 
-    What an actuator lost is said as a share of the command that it usually gets, where that is known.
+    An actuator's loss is given as a share of its usual command if that is known.
     """
     if usual_command is not None:
         return 100.0 / usual_command, share_unit(unit)
@@ -49,12 +49,12 @@ def display_unit(unit: str, usual_command: float | None = None) -> tuple[float, 
 
 
 def share_unit(unit: str) -> str:
-    """Return what people say for per cent of what is commanded, of an actuator whose size has this unit."""
+    """Return people's unit for a percentage of the command, of an actuator whose sizes have this unit."""
     return _SHARES.get(unit, "% of the command")
 
 
 def size_text(size: float, unit: str, usual_command: float | None = None, *, signed: bool = False) -> str:
-    """Return a size in one of the monitor's units as people say it: ``5.73 degrees``; per cent have two digits."""
+    """Return a size in one of the monitor's units in people's words: ``5.73 degrees``; per cent have two digits."""
     if unit == _LOGARITHM:
         return f"{number_text(math.exp(min(size, 50.0)), 2)} times"
     factor, name = display_unit(unit, usual_command)
@@ -62,15 +62,15 @@ def size_text(size: float, unit: str, usual_command: float | None = None, *, sig
 
 
 def doubt_text(deviation: float, unit: str, share: float | None) -> str:
-    """Return by how much a size may be off, as people say it; ``share`` takes it to a share of the command."""
+    """Return the uncertainty of a size in people's words; ``share`` converts it to a share of the command."""
     if share is not None or unit == _LOGARITHM:
-        # a logarithm's deviation is nearly that share of the number
+        # a logarithm's deviation is nearly the relative deviation of the number
         return f"{percent_text(abs(deviation * (share or 1.0)))} %"
     return size_text(deviation, unit)
 
 
 def fault_text(channel: str, estimate: float | None, relative: float | None, unit: str) -> str:
-    """Return the size of a fault, as the share of the command where that is known; empty where there is none."""
+    """Return the size of a fault, as a share of the command if that is known; empty if there is no size."""
     if not isinstance(unit, str):  # from a network, not yet checked
         return ""
     if _is_size(relative):
@@ -78,12 +78,12 @@ def fault_text(channel: str, estimate: float | None, relative: float | None, uni
     if not _is_size(estimate):
         return ""
     size = float(estimate or 0.0)
-    # a compass' estimate counts turns on; nothing is further off than half of one
+    # The estimate of a heading may count whole turns; a compass is off by half a turn at most.
     return size_text(math.remainder(size, math.tau) if channel == "compass" else size, unit, signed=True)
 
 
 def battery_text(ohm: float, amps: float, left_s: float) -> str:
-    """Return what a battery's resistance does at the present current, and how long its charge lasts at it."""
+    """Return a battery's resistance, its voltage drop at the present current, and how long its charge lasts at it."""
     left = "" if left_s <= 0.0 else f"; {_time_text(left_s)} left at this current"
     return f"{number_text(1000.0 * ohm)} milliohms, {number_text(ohm * amps, 2)} V at {number_text(amps)} A{left}"
 
@@ -94,12 +94,12 @@ def _time_text(seconds: float) -> str:
 
 
 def percent_text(share: float, *, signed: bool = False) -> str:
-    """Return a share as the number of its per cent."""
+    """Return a share as a percentage, without the sign for per cent."""
     return number_text(100.0 * share, 2, signed=signed)
 
 
 def number_text(value: float, digits: int = 3, *, signed: bool = False) -> str:
-    """Return a number with so many significant digits, whole numbers without an exponent."""
+    """Return a number with this many significant digits, whole numbers without an exponent."""
     sign = "+" if signed else ""
     text = f"{value + 0.0:{sign}.{digits}g}"
     return f"{value:{sign}.0f}" if "e+" in text and abs(value) < _LARGEST else text

@@ -17,7 +17,7 @@ Severity = Literal["warning", "critical"]
 UNNUMBERED = 0
 """Sequence number of an event that the vehicle's alarm desk has not seen yet."""
 
-# Beyond any time or size, and within what floats can express; numbers of events leave room to count on in 64 bits.
+# Larger than any time or size, and finite as a float; numbers of events leave room to count on in 64 bits.
 _LARGEST = 1 << 100
 _LARGEST_SEQ = 1 << 62
 _CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
@@ -55,7 +55,7 @@ class AlarmEvent:
     sd: Annotated[float | None, "standard deviation of estimate, in unit; null where it is not known"] = None
 
     def __post_init__(self) -> None:
-        """Say the size: whatever was given, so that it follows when the size is replaced."""
+        """Derive the displayed size, so that it always follows from the other fields."""
         object.__setattr__(self, "display", fault_text(self.channel, self.estimate, self.relative, self.unit))
 
     def to_json(self) -> dict[str, Any]:
@@ -64,7 +64,7 @@ class AlarmEvent:
 
 
 def event_from_json(data: Mapping[str, Any]) -> AlarmEvent:
-    """Return the event a JSON object describes; raise ValueError where a field is missing."""
+    """Return the event a JSON object describes; raise ValueError if a field is missing."""
     missing = [field.name for field in fields(AlarmEvent) if field.name not in data and field.default is MISSING]
     if missing:
         raise ValueError(f"alarm event lacks '{missing[0]}'")
@@ -72,7 +72,7 @@ def event_from_json(data: Mapping[str, Any]) -> AlarmEvent:
 
 
 def valid_event(payload: Any) -> AlarmEvent | None:
-    """Return the event a decoded payload holds, None where names, types or sizes are not those of an event."""
+    """Return the event in a decoded payload, or None if its names, types or sizes are not those of an event."""
     if not isinstance(payload, dict):
         return None
     try:
@@ -109,11 +109,11 @@ _IS_SOUND: Mapping[type, Callable[[Any], bool]] = {
 
 
 class AlarmField(NamedTuple):
-    """What is known of a field of an event."""
+    """Description of a field of an event."""
 
-    kind: type  # str, int, float or bool; JSON has null for a float that it cannot write
+    kind: type  # str, int, float or bool; in JSON, null stands for a float that it cannot write
     optional: bool  # whether it may be None
-    choices: tuple[str, ...]  # the texts that it can be; empty: any
+    choices: tuple[str, ...]  # its allowed texts; empty: any
     description: str
 
 
@@ -128,7 +128,7 @@ ALARM_FIELDS: Final = {name: _field(hint) for name, hint in get_type_hints(Alarm
 
 
 def alarm_id(vehicle: str, observer: str, channel: str, since_ns: int) -> str:
-    """Return the ULID of an alarm: its time in milliseconds and 80 bits that depend on nothing but the alarm.
+    """Return the ULID of an alarm: its time in milliseconds and 80 bits that depend on the alarm only.
 
     A replay of the same samples therefore gives the same ids.
     """
@@ -179,6 +179,6 @@ def fixed_rule_event(
 def next_event(
     before: AlarmEvent, state: State, time_ns: int, vehicle_time_ms: int, message: str, **changes: Any
 ) -> AlarmEvent:
-    """Return the next event of such an alarm, unnumbered; ``changes`` are other fields that are not as before."""
+    """Return the next event of such an alarm, unnumbered; ``changes`` are other fields that change."""
     changes |= {"time_ns": time_ns, "vehicle_time_ms": vehicle_time_ms, "message": message, "seq": UNNUMBERED}
     return replace(before, state=state, **changes)

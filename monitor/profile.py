@@ -42,7 +42,7 @@ from monitor.sampling.transform import LiftRule, SampleSource, TransformRule, ma
 
 
 def read_source(table: Table, gains: Gains) -> SampleSource:
-    """Return where an observer's samples come from, as its table says; mistakes are recorded in its file."""
+    """Return the source of an observer's samples from its table; mistakes are recorded in its file."""
     rates = table.table("fitted_hz") if table.has("fitted_hz") else None
     fitted_hz = {} if rates is None else {name: rates.number(name, above=0.0) for name in rates}
     lift = None
@@ -100,7 +100,7 @@ FORMAT = 1
 """Number of the layout: a reader refuses what it does not know."""
 PROFILE_FILE = "profile.toml"
 UNEXPLAINED = "unexplained"
-"""Alarm channel of a bank none of whose hypotheses explains the data."""
+"""Alarm channel of a bank for data that none of its hypotheses explains."""
 
 
 class FaultChannel(NamedTuple):
@@ -114,39 +114,39 @@ class FaultChannel(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObserverSetup:
-    """What an observer is made of, as it is fitted and as a profile keeps it."""
+    """The parts of an observer, as they are fitted and as a profile keeps them."""
 
     name: str  # the observer's name
-    # Its gains; those of each hypothesis where it is a bank. All share inputs, outputs, states and rate.
+    # its gains; if it is a bank, those of each hypothesis. All share inputs, outputs, states and rate
     gains: tuple[Gains, ...]
     source: SampleSource  # where u and y come from
     isolation: IsolationRule  # how estimates become evidence
-    # wait before its samples are evidence, seconds, where that is longer than the gate's; 0: as long as its gains take
-    # to forget a wrong start (:mod:`monitor.estimation.affine`)
+    # wait before its samples are evidence, seconds, if it is longer than the gate's; 0: as long as its gains take to
+    # forget a wrong start (:mod:`monitor.estimation.affine`)
     settle_s: float = 0.0
-    # faults whose evidence is read against the deflection at which they arise, by name
+    # faults whose evidence is judged by the deflection at which it arises, by name
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
-    changes: ChangeRule | None = None  # how sudden changes are told from noise; None: not at all
-    # how the sizes that raise alarms of actuators grow with what excites the model's errors; None: not at all
+    changes: ChangeRule | None = None  # how sudden changes are told from noise; None: they are not looked for
+    # how the thresholds of actuators' alarms grow with what excites the model's errors; None: they do not
     excitation: ExcitationRule | None = None
-    # what the raw signals of its transform reached in the flights that were fitted; None: not known
+    # range of its transform's raw signals in the fitted flights; None: not known
     envelope: Envelope | None = None
-    # largest sizes of its inputs and outputs in those flights, by name, for faults that are read against a deflection
+    # largest sizes of its inputs and outputs in those flights, by name, for faults that are judged by a deflection
     reached: Mapping[str, float] = field(default_factory=dict)
-    # how many times the standard deviation of the design the estimates of faults have in healthy flight, by name; once
-    # where it is left out
+    # ratio of the estimates' standard deviation in healthy flight to that of the design, by name of the fault; 1 if it
+    # is left out
     spread: Mapping[str, float] = field(default_factory=dict)
-    # how commands act with the battery's voltage; None: they do not, or it is not known
+    # how commands act with the battery's voltage; None: not at all, or not known
     supply: SupplyRule | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObserverProfile(ObserverSetup):
-    """One observer of the profile: gains, where its channels come from, and its alarms."""
+    """One observer of the profile: gains, the source of its channels, and its alarms."""
 
     faults: tuple[FaultChannel, ...]  # all fault channels, actuators first
-    alarms: tuple[AlarmRule, ...]  # what raises alarms
-    # the model the gains were designed for; without one the uncertainty of the estimates is not known
+    alarms: tuple[AlarmRule, ...]  # the rules that raise alarms
+    # the model that the gains were designed for; without it the uncertainty of the estimates is not known
     model: Plant | None = None
 
     @property
@@ -156,13 +156,13 @@ class ObserverProfile(ObserverSetup):
 
     @property
     def usual_commands(self) -> dict[str, float]:
-        """The command with which each motor hovers, by the name of its fault, as far as it is known."""
+        """The command of each motor in hover, by the name of its fault, as far as it is known."""
         usual = {
             channel.name: channel.stopped_as
             for channel in self.source.channels
             if channel.stopped_as and channel.stopped_as > 0.0
         }
-        # Of motors that are not told apart, the first.
+        # For motors that are not told apart, the command of the first.
         motors = ((fault.name, fault.name.partition("_or_")[0]) for fault in self.faults if fault.input is not None)
         return {name: usual[motor] for name, motor in motors if motor in usual}
 
@@ -180,9 +180,9 @@ class Profile:
     excuses: tuple[ExcuseRule, ...]  # which alarms explain evidence on which other channels
     files: Mapping[str, bytes]  # contents of the profile's files, by name, for recordings
     digest: str  # SHA-256 over those files
-    # which vehicle the fitted recordings are of, as far as they say so
+    # the vehicle of the fitted recordings, as far as they describe it
     identity: Identity = field(default_factory=Identity)
-    mass_kg: float = 0.0  # its mass in them; 0 where nobody has said it. Loads are told in shares of the weight then
+    mass_kg: float = 0.0  # its mass in them; 0 if it is not known. Loads are then given as shares of the weight
 
 
 def read_profile(folder: str | Path) -> Profile:
@@ -250,9 +250,9 @@ def _sizes(table: Table, names: Collection[str], what: str) -> dict[str, float]:
 
 
 def observer_table(observer: ObserverProfile, sees: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
-    """Return an observer's part of profile.toml, as :func:`read_profile` reads it back.
+    """Return an observer's part of profile.toml, as :func:`read_profile` reads it.
 
-    ``sees`` says by channel what its alarm detects: for people, nothing reads it.
+    ``sees`` describes by channel what its alarm detects: for people, no code reads it.
     """
     table: dict[str, Any] = {
         **({"settle_s": observer.settle_s} if observer.settle_s else {}),
@@ -278,7 +278,7 @@ def observer_table(observer: ObserverProfile, sees: Mapping[str, str] = MappingP
 
 
 _PATHS = ("fast", "fast_s"), ("slow", "slow_s"), ("lasting", "lasting_s"), ("nats", "least")
-"""Keys of a path that an alarm need not have: the size, infinite where it has not, and what goes with it."""
+"""Keys of each optional path of an alarm: its size (infinite: no such path) and the key that belongs to it."""
 
 
 def _alarm_table(rule: AlarmRule, sees: str | None) -> dict[str, float | str]:
@@ -316,7 +316,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
     isolation = table.table("isolation")
     bank = read_hypotheses(isolation)
     if not isolation.good():
-        # hypotheses name the files with the gains, and those the channels below
+        # hypotheses name the files with the gains, and the gains name the channels below
         table.file.check()
     hypotheses = bank or ((),)
     model = folder / f"{name}.model.toml"
@@ -359,7 +359,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
 
 
 def _read_gains(path: Path, model_path: Path, plant: Plant, faults: Sequence[str]) -> Gains:
-    """Read gains of the model beside them, for these faults where any are named."""
+    """Read gains of the model beside them, for these faults if any are named."""
     gains = read_gains(path)
     if faults and set(gains.faults) != set(faults):
         raise ProfileError(f"{path}: estimates {', '.join(gains.faults)}, not {', '.join(faults)}")
@@ -375,7 +375,7 @@ def _signals(gains: Gains) -> tuple[object, ...]:
 
 
 def fault_channels(gains: Sequence[Gains]) -> tuple[FaultChannel, ...]:
-    """Return the fault channels of a bank's gains together, actuators first."""
+    """Return the fault channels of all gains of a bank, actuators first."""
     found: dict[str, FaultChannel] = {}
     for gain in gains:
         for name, kind, unit, source in zip(
@@ -386,7 +386,7 @@ def fault_channels(gains: Sequence[Gains]) -> tuple[FaultChannel, ...]:
 
 
 def newly_watched(faults: Iterable[Iterable[str]]) -> list[frozenset[str]]:
-    """Return of each observer, by the names of the faults that each watches, those that none before it watches."""
+    """Return for each observer the faults that no observer before it watches; ``faults`` are those of each observer."""
     watched: frozenset[str] = frozenset()
     new = []
     for names in faults:
@@ -396,7 +396,7 @@ def newly_watched(faults: Iterable[Iterable[str]]) -> list[frozenset[str]]:
 
 
 def seen_sooner(faults: Mapping[str, Iterable[str]]) -> dict[str, list[str]]:
-    """Return of each observer those before it that watch all of its faults, by the names of the faults of each."""
+    """Return for each observer the observers before it that watch all of its faults; ``faults`` are those of each."""
     watched: dict[str, frozenset[str]] = {}
     sooner = {}
     for observer, names in faults.items():

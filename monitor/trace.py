@@ -12,9 +12,10 @@ from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent, Severity
 
 FIRST_ROWS = 4096
-"""Rows allocated at first; the memory doubles as it fills. Chosen: 40 s at 100 Hz, below the length of most flights."""
+"""Number of rows allocated at first; the memory doubles as it fills. Chosen: 40 s at 100 Hz, below the length of most
+flights."""
 MAX_ROWS = 4_000_000
-"""Rows kept at most: 11 h at 100 Hz, in 2 GB for an observer of 60 columns. Longer runs are thinned."""
+"""Largest number of rows kept: 11 h at 100 Hz, in 2 GB for an observer of 60 columns. Longer runs are thinned."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,7 @@ class TraceBuilder:
             self._times = np.concatenate((self._times, np.empty((more, 2), np.int64)))
             self._flags = np.concatenate((self._flags, np.empty((more, 2), np.bool_)))
             return
-        # a restart at a dropped sample is one at the next kept sample
+        # a restart at a dropped sample moves to the next kept sample
         restarts = self._flags[:, 1]
         restarts[2::2] |= restarts[1:-1:2]
         self._restart |= bool(restarts[-1])
@@ -122,7 +123,7 @@ class AlarmSpan:
     history: tuple[AlarmEvent, ...]
     observer: str
     channel: str
-    severity: Severity  # the worst it had
+    severity: Severity  # the worst severity that it had
     # Unix times and vehicle's times of the events that raised and cleared it
     start_ns: int
     start_vehicle_ns: int
@@ -131,9 +132,9 @@ class AlarmSpan:
 
 
 def alarm_spans(events: Iterable[AlarmEvent]) -> list[AlarmSpan]:
-    """Return the span of each alarm in the order of their beginnings.
+    """Return the span of each alarm, in the order of their beginnings.
 
-    An alarm whose raising is not among the events begins with its first one.
+    If the event that raised an alarm is missing, its span begins with its first event.
     """
     histories: dict[str, list[AlarmEvent]] = {}
     for event in events:
