@@ -1,1 +1,1 @@
-"""What a flight shows that is no fault: a load that was dropped, the wind, a drift of the air pressure."""
+"""Conditions of a flight that are no fault: a load that was dropped, the wind, a drift of the air pressure."""

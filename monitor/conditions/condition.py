@@ -1,4 +1,4 @@
-"""Something that is no fault: what it is, since when, and how large."""
+"""A condition of a flight that is no fault: its kind, its begin and its sizes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class FlightCondition:
     values: Mapping[str, float]  # sizes by name; their units are in the names
 
     def to_json(self) -> dict[str, Any]:
-        """Return what status and ``--json`` have."""
+        """Return the condition as it stands in the status and in the output of ``--json``."""
         return {**asdict(self), "kind": "information"}
 
 

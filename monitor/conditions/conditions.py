@@ -1,8 +1,8 @@
-"""The conditions of one vehicle's flight, from its telemetry: what is no fault and raises no alarm.
+"""Find the conditions of one vehicle's flight in its telemetry: they are no faults and raise no alarms.
 
 The motors' commands and the raw signals of the inertial observer are sampled together some times a second; means over
-half seconds (:mod:`monitor.conditions.half_seconds`) are looked at one after the other. Like all of the pipeline the
-result does not depend on how the telemetry is cut.
+half seconds (:mod:`monitor.conditions.half_seconds`) are processed one after the other. As in the whole pipeline, the
+result does not depend on how the telemetry is cut into batches.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ from monitor.sampling.transform import SampleSource
 _FASTEST_HZ, _SLOWEST_HZ = 10.0, 8.0
 """Samples per second. Chosen: five in half a second; slower telemetry does not show that a change is sudden."""
 _KEPT = 50
-"""Conditions that are kept. Chosen: a flight has some."""
+"""Number of conditions that are kept. Chosen: a flight has some."""
 _HOVER = 0.5
-"""Command at which the exponent of a learned thrust curve is taken: most multirotors hover near it."""
+"""Command at which the exponent of a learned thrust curve is evaluated: most multirotors hover near it."""
 _HECTOPASCAL, _METRES = 2.0, -METRES_PER_HPA
-"""Parameter of the strapdown transform whose barometer gives a pressure; height of one more hectopascal."""
+"""Parameter of the strapdown transform whose barometer measures a pressure; height of one hectopascal more, m
+(negative)."""
 _MOTOR = re.compile(r"motor\d+")
 
 
@@ -58,14 +59,17 @@ class Conditions:
         self.found: deque[FlightCondition] = deque(maxlen=_KEPT)
 
     def enter(self, allowed: bool) -> None:
-        """Restart at the next sample where the phase has come to allow evidence."""
+        """Restart at the next sample if the phase of flight begins to allow evidence."""
         self._gated.enter(allowed)
 
     def run(self, samples: Samples, phase: FlightPhase) -> None:
-        """Take n samples of :attr:`sampler`; the vehicle's phase is the same for all of them and was entered before."""
+        """Process n samples of :attr:`sampler`.
+
+        The vehicle's phase is the same for all of them and was entered before.
+        """
         if not len(samples):
             return
-        # the gate asks the mean command whether the vehicle flies
+        # the gate decides from the mean command whether the vehicle flies
         commanded = replace(samples, u=samples.u[:, : self._motors])
         flown = self._gated.gate.admitted(phase, commanded)
         if not flown.any():
@@ -80,7 +84,7 @@ class Conditions:
 
 
 def make_conditions(profile: Profile, clock: VehicleClock) -> Conditions | None:
-    """Return what follows the conditions of a profile's vehicle; None where it has not the signals, or too seldom."""
+    """Return the conditions of a profile's vehicle; None if it lacks the signals, or samples them too seldom."""
     motors = next((observer for observer in profile.observers if observer.name == "motors"), None)
     inertial = next(
         (
@@ -96,19 +100,19 @@ def make_conditions(profile: Profile, clock: VehicleClock) -> Conditions | None:
 
 
 def _arms(motors: ObserverProfile, names: list[str]) -> NDArray[np.float64]:
-    """Return where each motor is, by what it does to pitch and roll (motors, 2), in shares of the largest."""
+    """Return the position of each motor, by its effect on pitch and roll (motors, 2), in shares of the largest."""
     model = motors.model
     if model is None or not {"roll_rate", "pitch_rate"} <= set(model.states) or not set(names) <= set(model.inputs):
         return np.full((len(names), 2), np.nan)
     inputs = [model.inputs.index(name) for name in names]
     pitch, roll = (model.B[model.states.index(f"{axis}_rate"), inputs] for axis in ("pitch", "roll"))
-    # a motor ahead lifts the nose, one to the right lowers the left side
+    # a motor in front lifts the nose, one on the right lowers the left side
     arms = np.column_stack([pitch / np.abs(pitch).max(), -roll / np.abs(roll).max()])
     return np.asarray(arms, np.float64)
 
 
 def _exponents(motors: ObserverProfile) -> tuple[float, float]:
-    """Return between which exponents thrust goes with the command: a learned curve knows, within a tenth."""
+    """Return the limits of the exponent of thrust over command: a learned curve gives it within a tenth."""
     curve = motors.gains[0].input_curves
     if curve.shape[1] < 2 or not curve[:, 1:].any():
         return 1.0, 2.0

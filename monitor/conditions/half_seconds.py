@@ -1,4 +1,4 @@
-"""Means of a multirotor's signals over half seconds of flight: what conditions are told from."""
+"""Means of a multirotor's signals over half seconds of flight, from which conditions are found."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 SIGNALS = ("xacc", "yacc", "zacc", "roll", "pitch", "yaw", "gps_speed", "gps_course", "gps_alt", "baro_alt")
-"""Signals that are needed beside the motors' commands, as the inertial observer names them."""
+"""Signals that are needed beside the motors' commands, by their names in the inertial observer."""
 _HALF_NS = 500_000_000
-"""Chosen: shorter than an autopilot takes to answer a load that goes, longer than the noise of ten samples a second."""
+"""Length of the mean, nanoseconds. Chosen: shorter than an autopilot takes to answer a load that is let go, longer than
+the noise of ten samples a second."""
 _LEAST_ROWS = 3
-"""Samples that a half second needs: chosen, of four or five at the slowest rate that is taken."""
+"""Least number of samples in a half second: chosen, of the four or five at the slowest rate that is accepted."""
 _GRAVITY = 9.80665
-"""m/s^2, the standard one."""
+"""Standard gravity, m/s^2."""
 
 
 class HalfSecond(NamedTuple):
     """Means over half a second."""
 
-    number: int  # of the half second on the vehicle's clock
+    number: int  # number of the half second on the vehicle's clock
     time_ns: int  # Unix time of its first sample
     load: float  # logarithm of the mean command over the vertical specific force in units of gravity
-    moments: tuple[float, float]  # where thrust acts, shares of the arm forward and right
+    moments: tuple[float, float]  # where thrust acts, as shares of the arm, forward and right
     pull: tuple[float, float]  # specific force along the body's x and y, turned to north and east, m/s^2
-    velocity: tuple[float, float]  # of the GPS, north and east, m/s
+    velocity: tuple[float, float]  # velocity by GPS, north and east, m/s
     speed: float  # m/s
     # m
     height: float
@@ -33,10 +34,10 @@ class HalfSecond(NamedTuple):
 
 
 class HalfSeconds:
-    """Collects samples (commands first, then :data:`SIGNALS`) to half seconds.
+    """Collects samples (commands first, then :data:`SIGNALS`) into half seconds.
 
-    ``arms`` is where each motor is, in shares of the longest arm forward and right (motors, 2), not a number where that
-    is not known; ``metres`` the height of one of the barometer's units.
+    ``arms`` is the position of each motor, in shares of the longest arm forward and right (motors, 2), NaN if it is not
+    known; ``metres`` the height of one of the barometer's units.
     """
 
     def __init__(self, arms: NDArray[np.float64], metres: float) -> None:
@@ -47,7 +48,7 @@ class HalfSeconds:
     def run(
         self, vehicle_ns: NDArray[np.int64], time_ns: NDArray[np.int64], rows: NDArray[np.float64]
     ) -> list[HalfSecond]:
-        """Take n samples of flight; return the half seconds that those after them end."""
+        """Process n samples of flight; return the half seconds that they complete."""
         numbers = vehicle_ns // _HALF_NS
         begins = np.flatnonzero(np.diff(numbers, prepend=self._number))
         rest, *others = np.split(rows, begins)
@@ -90,6 +91,6 @@ class HalfSeconds:
 def _turned(
     forward: NDArray[np.float64], right: NDArray[np.float64] | float, heading: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what lies north and east of what lies forward and right."""
+    """Return the components north and east of a vector with the components forward and right."""
     c, s = np.cos(heading), np.sin(heading)
     return c * forward - s * right, s * forward + c * right

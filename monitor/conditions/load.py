@@ -1,15 +1,15 @@
-"""A load that was picked up or let go: commands and vertical specific force, which a sudden weight parts.
+"""Find a load that was picked up or let go: a sudden weight changes the ratio of command to specific force.
 
 With thrust T = k u^p of the mean command u and the vertical specific force f = T / m, the quantity
 
     l = ln u - ln |f|,      p l ~ ln m,
 
-follows the weight alone, whatever the vehicle does. It changes with the battery, and with the air through the
-propellers, but then with speed or over many seconds. A load is told where l differs between seconds before and after a
-moment, by much more than it varies within either, half of that within a second, while the vehicle neither climbs nor
-flies at another speed than before.
+follows the weight alone, whatever the vehicle does. It also changes with the battery, and with the air through the
+propellers, but then with speed or over many seconds. A load is found if l differs between seconds before and after a
+moment by much more than it varies within either, if half of the difference comes within a second, and if the vehicle
+neither climbs nor flies at another speed than before.
 
-Of p it is only known that it lies between 1 (thrust in proportion to the command) and 2 (to its square), unless the
+The exponent p is only known to lie between 1 (thrust in proportion to the command) and 2 (to its square), unless the
 profile has learned the curve.
 """
 
@@ -26,26 +26,28 @@ from monitor.conditions.half_seconds import HalfSecond
 from monitor.display import number_text, percent_text
 
 _BEFORE, _JUMP, _AFTER = 16, 2, 14
-"""Half seconds of both windows, and between them. Chosen: eight and seven seconds, longer than gusts."""
+"""Half seconds of the window before, between the windows, and of the window after. Chosen: eight and seven seconds,
+longer than gusts."""
 _CERTAIN = 2.8
-"""How many times more l has to change than its means over a second vary within a window. Measured on 23 simulated
-flights of two autopilots: the two loads let go reach 3.3 and 5.0, all else 2.3 at most."""
+"""Least change of l, relative to the variation of its means over a second within a window. Measured on 23 simulated
+flights of two autopilots: the two loads that were let go reach 3.3 and 5.0, all else at most 2.3."""
 _LEAST_SPREAD = 0.03
-"""Least such variation: that of hovering in calm air. The least load that is told so is 8 % of the weight, or 16."""
+"""Least such variation: that of hovering in calm air. The smallest load that can be found is then 8 % of the weight for
+p = 1, 16 % for p = 2."""
 _SUDDEN = 0.35
-"""Share of the change that has come within a second: a load goes at once, air does not. Measured: 0.5 and 0.85 of the
-two loads; the autopilot changes the thrust within the second, which parts l from the weight while rotors follow."""
+"""Least share of the change within a second: a load goes at once, air does not. Measured: 0.5 and 0.85 of the two
+loads; the autopilot changes the thrust within the second, and l differs from the weight while the rotors follow."""
 _CLIMB, _SPEED = 0.7, 2.0
-"""m/s by which climb and speed may differ between the windows. Measured on the same flights: at the end of a climb and
-of a fast leg l changes by up to 0.6; the vehicles that let a load go change by 0.04 and 1.3."""
+"""Largest difference of climb and of speed between the windows, m/s. Measured on the same flights: at the end of a
+climb and of a fast leg l changes by up to 0.6; the vehicles that let a load go change by 0.04 and 1.3."""
 _NOTICED = 0.03
-"""Least shift of the centre of gravity that is said, as a share of the arm: chosen, 1 cm for an arm of 30."""
+"""Least shift of the centre of gravity that is reported, as a share of the arm: chosen, 1 cm for an arm of 30."""
 
 
 class Load:
     """Looks for loads in half seconds of flight.
 
-    p lies between the ``exponents``; ``mass_kg`` is that of the vehicle that was fitted, 0 where it is not known.
+    p lies between the ``exponents``; ``mass_kg`` is the mass of the vehicle that was fitted, 0 if it is not known.
     """
 
     def __init__(self, exponents: tuple[float, float], mass_kg: float) -> None:
@@ -53,11 +55,11 @@ class Load:
         self._window: deque[HalfSecond] = deque(maxlen=_BEFORE + _JUMP + _AFTER)
 
     def clear(self) -> None:
-        """Forget: what came before belongs to another stretch of flight."""
+        """Forget the past: it belongs to another stretch of flight."""
         self._window.clear()
 
     def follow(self, mean: HalfSecond) -> FlightCondition | None:
-        """Take the next half second; return the load that has changed, as soon as it is certain."""
+        """Process the next half second; return the load that has changed, as soon as it is certain."""
         self._window.append(mean)
         if len(self._window) < _BEFORE + _JUMP + _AFTER:
             return None
@@ -89,7 +91,7 @@ class Load:
         sign = math.copysign(1.0, change)
         shares = [math.expm1(sign * size) for size in (least, abs(change) * sum(self._exponents) / 2.0, most)]
         low, share, high = shares
-        # Commands and accelerations of a vehicle that became heavier are those of one whose thrust fell.
+        # Commands and accelerations look alike after a gain of weight and after a loss of thrust.
         what = "payload picked up, or less thrust of all motors alike" if change > 0.0 else "payload dropped"
         text = f"{what}: {_weights(low, share, high, self._mass_kg)}"
         forward, right = self._shift(rows).tolist()
@@ -107,7 +109,7 @@ class Load:
         return FlightCondition("payload", rows[_BEFORE + _JUMP // 2].time_ns, text, values)
 
     def _shift(self, rows: list[HalfSecond]) -> NDArray[np.float64]:
-        """Return by how much of an arm the thrust, and with it the weight, moved forward and right."""
+        """Return the shift of the thrust, and with it of the weight, forward and right in arms."""
         moments = np.array([row.moments for row in rows])
         middle = sum(self._exponents) / 2.0
         return middle * np.asarray(np.median(moments[-_AFTER:], axis=0) - np.median(moments[:_BEFORE], axis=0))
@@ -120,7 +122,7 @@ def _median(values: list[float]) -> float:
 
 
 def _spread(values: list[float]) -> float:
-    """Return by how much the means over a second vary, of values over half seconds."""
+    """Return how much means over a second vary, from values over half seconds."""
     means = [(first + second) / 2.0 for first, second in zip(values[::2], values[1::2], strict=True)]
     return max(means) - min(means)
 

@@ -1,4 +1,4 @@
-"""A drift of the pressure at sea level: heights by barometer and by GPS that slowly part."""
+"""Find a drift of the pressure at sea level: heights by barometer and by GPS slowly diverge."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from monitor.conditions.half_seconds import HalfSecond
 from monitor.display import number_text
 
 _MEAN = 60
-"""Half seconds that the height's difference is averaged over: 30 s, over which the noise of fixes is gone."""
+"""Half seconds over which the difference of heights is averaged: 30 s, over which the noise of fixes averages out."""
 _LEAST_M = 4.0
-"""m by which the difference has to change. Chosen: heights by GPS wander by a metre or two within a flight."""
+"""Least change of the difference that is reported, m. Chosen: heights by GPS wander by a metre or two within a
+flight."""
 METRES_PER_HPA = 8.3
-"""Height of a hectopascal at sea level: the standard atmosphere's 8,434 m over its 1,013 hPa."""
+"""Height of a hectopascal at sea level, m: the standard atmosphere's 8,434 m over its 1,013 hPa."""
 
 
 class Pressure:
@@ -22,7 +23,7 @@ class Pressure:
         self._said: float | None = None
 
     def follow(self, mean: HalfSecond) -> FlightCondition | None:
-        """Take the next half second; return the drift since it was said last, or since the flight's first 30 s."""
+        """Process the next half second; return the drift since the last report, or since the flight's first 30 s."""
         self._sum += mean.height - mean.gps_height
         self._count += 1
         if self._count < _MEAN:

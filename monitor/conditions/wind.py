@@ -1,12 +1,13 @@
-"""The wind of a multirotor from its drag: what accelerometers feel across the propellers' thrust.
+"""Estimate the wind of a multirotor from its drag: the specific force across the propellers' thrust.
 
-Thrust has no part along the body's x and y. What is felt there is drag, in proportion to the speed through the air:
+Thrust has no component along the body's x and y. Accelerometers measure drag there, which is proportional to the speed
+through the air:
 
     f_north = -D (v_north - w_north),     f_east = -D (v_east - w_east)
 
-with the GPS's velocity v. D belongs to the vehicle, the wind w changes. A Kalman filter of D, D w_north and D w_east
-tells them apart as soon as the vehicle has flown at different velocities. Drag that grows with the square of the speed
-makes the wind's size uncertain, not its direction.
+with the GPS's velocity v. D is constant for the vehicle, the wind w changes. A Kalman filter of D, D w_north and D
+w_east separates them as soon as the vehicle has flown at different velocities. If drag grows with the square of the
+speed, the wind's size is uncertain, its direction is not.
 """
 
 from __future__ import annotations
@@ -20,24 +21,24 @@ from monitor.conditions.half_seconds import HalfSecond
 from monitor.display import number_text
 
 _USUAL = 0.3
-"""1/s, D before anything is known, and its standard deviation. Measured: 0.3 to 0.45 and 0.6 to 0.95 in two
-simulators."""
+"""First estimate of D, 1/s, and its standard deviation. Measured: 0.3 to 0.45 and 0.6 to 0.95 in two simulators."""
 _PULL = 1.0
-"""m/s^2, standard deviation of D w before anything is known: 3 m/s of wind for the usual D."""
+"""Standard deviation of the first estimate of D w, m/s^2: 3 m/s of wind for the usual D."""
 _NOISE = 0.3
-"""m/s^2 that a mean over half a second is off: gusts and accelerometers, of 15 simulated flights 0.1 to 0.5."""
+"""Error of a mean over half a second, m/s^2: gusts and accelerometers, in 15 simulated flights 0.1 to 0.5."""
 _DRIFT = 0.09
-"""m/s^2 by which D w changes over a root second: chosen, the wind is followed within some seconds (the root of noise
-over drift, 0.3 / 0.09), a gust is not."""
+"""Change of D w over a root second, m/s^2: chosen so that the filter follows the wind within some seconds (the root of
+noise over drift, 0.3 / 0.09), and does not follow a gust."""
 _KNOWN = 0.05
-"""Relative standard error of D from which on the wind is said. Measured: at 0.12 a flight said 15 m/s where 5 blew."""
+"""Relative standard error of D below which the wind is reported. Measured: at 0.12 a flight reported 15 m/s in a wind
+of 5."""
 _SIZE = 0.3
-"""Relative standard deviation of the wind's size from the shape of the drag. Measured on flights of known wind: the
-sizes said were 0.9 to 2 times the true ones."""
+"""Relative standard deviation of the wind's size from the shape of the drag. Measured on flights in known wind: the
+reported sizes were 0.9 to 2 times the true ones."""
 _CHANGED = 3.0
-"""m/s by which the wind has to differ from the one said last to be said anew: chosen, a Beaufort number or two."""
+"""Difference from the last reported wind at which it is reported again, m/s: chosen, a Beaufort number or two."""
 _LEAST = 1.0
-"""m/s below which the air is calm: what accelerometers' biases (0.05 m/s^2) and gusts leave."""
+"""Wind below which the air is calm, m/s: the error from accelerometers' biases (0.05 m/s^2) and gusts."""
 
 
 class Wind:
@@ -49,7 +50,7 @@ class Wind:
         self._said: tuple[float, float] | None = None
 
     def follow(self, mean: HalfSecond) -> FlightCondition | None:
-        """Take the next half second; return the wind where it is known for the first time or has changed."""
+        """Process the next half second; return the wind if it is known for the first time or has changed."""
         self._P[1, 1] += 0.5 * _DRIFT**2
         self._P[2, 2] += 0.5 * _DRIFT**2
         for axis in (0, 1):

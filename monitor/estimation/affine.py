@@ -33,7 +33,7 @@ from monitor.estimation.observer import ErrorSystem, FaultSet, ObserverRun
 
 
 class Held(NamedTuple):
-    """An input of the past: how many samples ago, and which."""
+    """A past input: its age in samples, and its number."""
 
     delay: int
     source: int
@@ -43,7 +43,7 @@ class Held(NamedTuple):
 class StackLayout:
     """One recursion for K observers."""
 
-    held: tuple[Held, ...]  # what past v holds, by delay
+    held: tuple[Held, ...]  # the inputs in past v, by delay
     faults: tuple[int, ...]  # number of faults of each observer
     step: StepMap  # of [c; v; past v; y; 1; g] and, for the arguments, of the same without g
     # of z: the step without measurements and the first one after it, see :mod:`monitor.estimation.coasting`
@@ -52,7 +52,7 @@ class StackLayout:
     initial: NDArray[np.float64]  # c = initial [v; past v; y; 1] at a restart
 
 
-# Vehicles of one profile share them, as do the replays of a measurement of what a profile detects.
+# Observers of one profile share them, as do the replays that measure which faults a profile detects.
 @functools.lru_cache(maxsize=16)
 def stack_layout(gains: tuple[Gains, ...]) -> StackLayout:
     """Return the matrices of observers with the same inputs, outputs and states; nobody may change them."""
@@ -105,7 +105,7 @@ def _states(gains: Gains) -> int:
 
 
 def _passed_on(gains: Gains) -> dict[int, Held]:
-    """Return the states that hold nothing but an input of the past, also at a restart."""
+    """Return the states that hold nothing but a past input, also at a restart."""
     size, s = _states(gains), len(gains.inputs)
     passed_on: dict[int, Held] = {}
     sources = {size + j: Held(0, j) for j in range(s)}
@@ -129,23 +129,23 @@ def _starts(counts: Sequence[int]) -> list[int]:
 
 
 _FORGOTTEN = 0.05
-"""Share of its largest error down to which a fault estimate has forgotten a wrong start. Chosen: a smaller share
-waits longer after each restart, a larger one may let a wrong start show as a fault."""
+"""Share of its largest error below which a fault estimate has forgotten a wrong start. Chosen: a smaller share waits
+longer after each restart, a larger one may show a wrong start as a fault."""
 _NEGLIGIBLE = 1e-9
 """Singular values and errors, relative to the largest and to effects near 1, below which there is only rounding."""
 _LONGEST_S = 60.0
 """Longest wait, seconds. Chosen: a longer wait would leave little of a flight to watch."""
 
 
-# As of :func:`stack_layout`, of which each bank has several.
+# Shared as the results of :func:`stack_layout`; each bank has several gains.
 @functools.lru_cache(maxsize=64)
 def settling_s(gains: Gains) -> float:
     """Return the time after which a wrong start moves no fault estimate by more than a twentieth of its largest error.
 
-    In seconds, at most a minute. A restart takes the states from the outputs, x = C^+ y; what the outputs do not show
-    starts at zero, whatever the vehicle was doing. Two copies of one observer fed with the same (u, y) differ by d(k) =
-    M_ss^k d(0), so from the compiled step alone it follows how the estimates of faults are off after a start that is
-    wrong by d(0) = [L1; L_q] x, C x = 0. An observer all of whose states are measured has nothing to forget, however
+    In seconds, at most a minute. A restart computes the states from the outputs, x = C^+ y; the part of x that the
+    outputs do not show starts at zero, whatever the vehicle does. Two copies of one observer fed with the same (u, y)
+    differ by d(k) = M_ss^k d(0), so the compiled step alone gives the errors of the fault estimates after a start that
+    is wrong by d(0) = [L1; L_q] x, C x = 0. An observer all of whose states are measured has nothing to forget, however
     slow its poles. Gains of another structure than :mod:`gains.analysis.augment` count as zero: nothing tells which of
     their states the outputs show.
     """
@@ -170,7 +170,7 @@ def settling_s(gains: Gains) -> float:
 
 
 def _into(gains: Gains) -> NDArray[np.float64]:
-    """Return [L1; L_q] (nz + nq, n): how x moves the observer's own states."""
+    """Return [L1; L_q] (nz + nq, n), which maps x to the observer's own states."""
     return np.vstack([gains.L1, gains.L_q if gains.L_q.size else np.zeros((len(gains.L_i), gains.L1.shape[1]))])
 
 
@@ -186,8 +186,8 @@ def unseen_states(gains: Gains) -> NDArray[np.float64]:
 _MEASURED = 0
 """Index of the system in which all outputs are measured."""
 _PRIOR_S = 1.0
-"""An actuator fault that was there before a restart counts as one that grew for this long at its rate, seconds. Chosen:
-a longer time shows estimates after a restart as more uncertain, and for longer."""
+"""Time for which an actuator fault that existed before a restart counts as having grown at its rate, seconds. Chosen: a
+longer time makes estimates after a restart more uncertain, and for longer."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -255,14 +255,14 @@ def _inputs(gains: Gains, plant: Plant) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def _measured(gains: Gains) -> StepMap:
-    """Return the plain step over [s; v; y; 1; g; f], of which it does not use f."""
+    """Return the plain step over [s; v; y; 1; g; f]; it does not use f."""
     a, m = len(gains.faults), len(gains.nonlinearities)
     unused = ((0, 0), (0, a))
     return StepMap(np.pad(gains.step_matrix, unused), np.pad(gains.argument_matrix, ((0, 0), (0, m + a))))
 
 
 class AffineObserver:
-    """Compiled gains as an :class:`monitor.estimation.observer.Observer`: of one observer, or of all of a bank.
+    """Compiled gains as an :class:`monitor.estimation.observer.Observer`: one observer, or all observers of a bank.
 
     Those of a bank have the same inputs, outputs and states.
     """
@@ -306,7 +306,7 @@ class AffineObserver:
         return ObserverRun(*self._map.run(u, y, measured, restart))
 
     def error_systems(self, plant: Plant) -> tuple[ErrorSystem, ...] | None:
-        """Return the error system of each hypothesis, None where the gains are not those of a discrete design."""
+        """Return the error system of each hypothesis, None if the gains do not come from a discrete design."""
         if not all(single.L1.size and single.domain == "discrete" for single in self.gains):
             return None
         return tuple(error_system(single, plant) for single in self.gains)

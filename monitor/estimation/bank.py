@@ -5,32 +5,35 @@ that residual in healthy flight,
 
     J_k = r_k' S_k^-1 r_k = |W_k r_k|^2
 
-stays about p while the hypothesis is right and grows with what it leaves unexplained (structured residuals). A
+stays about p while the hypothesis is right, and grows with the fault that it does not explain (structured residuals). A
 hypothesis explains the data as long as J_k <= max(score_floor^2, tolerance^2 max_i J_i): the level of healthy flight,
-or that of model error for a fault that large. Of those that do, the ones with fewest faults are preferred, and among
-them the smallest J. Actuators fail towards less: one that would have to deliver more than commanded is believed beside
-one of opposite effect that delivers less where the mean J is smaller by gain_penalty, or for as long as level_s by
-gain_penalty times lambda, which may be below 1 here, and a quarter at most; while the mean speaks for it by less,
-neither is held responsible. Several that would have to deliver more are never believed: others that deliver less
-do the same. Two that deliver less are believed, although one by itself explains the data up to the level of health or
-of model error, where the mean J of the two is smaller by far and neither loss is small beside the other. The one
-believed so far stays until another is clearly better (half its J), so noise does not make names flicker. Where none
-explains the data no fault is named, and the score sqrt(min J) is reported as unexplained.
+or the level of model error for a fault of that size. Of the hypotheses that explain the data, those with the fewest
+faults are preferred, and among them the smallest J.
 
-Flights have more wind than those that were fitted, and are livelier. What the hypothesis believed leaves unexplained
-shows it, as its own fault is not in its residual: with lambda the mean of the smallest J over ``level_s`` relative to
-that of healthy flight, every J is divided by max(1, lambda), and sizes that raise alarms grow with its root
+Actuators fail towards less. A hypothesis under which one would have to deliver more than commanded competes with that
+of an actuator of opposite effect that delivers less: it is believed if its mean J is smaller by gain_penalty, or if its
+mean J over level_s is smaller by gain_penalty times lambda (which may be below 1 here) and is at most a quarter of the
+other's; while the mean is smaller by a share of this, neither is held responsible. Hypotheses of several actuators that
+would have to deliver more are never believed: others that deliver less have the same effect. Two actuators that deliver
+less are believed, although one of them alone explains the data up to the level of health or of model error, if the mean
+J of the two is smaller by far and neither loss is small beside the other. The hypothesis believed so far stays until
+another is clearly better (half its J), so noise does not make names flicker. If none explains the data no fault is
+named, and the score sqrt(min J) is reported as unexplained.
+
+Flights may have more wind than those that were fitted, and be livelier. The residual of the hypothesis believed shows
+it, as it does not contain the hypothesis' own fault: with lambda the mean of the smallest J over ``level_s`` relative
+to that of healthy flight, every J is divided by max(1, lambda), and sizes that raise alarms grow with its root
 (:class:`monitor.chain.ObserverChain`).
 
 A hypothesis of a sensor fault that would explain anything (a gyro bias against the motors) may be set apart: it takes
-no part in the comparison, and a fault that no compared hypothesis has is evidence where its estimate has an edge
+no part in the comparison, and a fault that no compared hypothesis has is evidence if its estimate has an edge
 (:class:`monitor.core.bank.EdgeDetector`).
 
-A fault whose estimate is washed out is given back (:class:`monitor.core.bank.Washout`), and while that memory holds it
-its hypothesis is not left for another that explains the data as well.
+The size of a fault whose estimate is washed out is restored (:class:`monitor.core.bank.Washout`); while this memory
+holds it, its hypothesis is not left for another that explains the data as well.
 
-All observers run all the time and none is ever reset by another's verdict: when a fault has gone, its residuals return
-to their healthy size by themselves and the bank is armed for the next one.
+All observers run all the time and none is ever reset by another's verdict: after the end of a fault its residuals
+return to their healthy size by themselves, and the bank is armed for the next one.
 
 The rules themselves, row after row, are :class:`monitor.core.bank.Choice`.
 """
@@ -59,19 +62,20 @@ class EstimatorRun(NamedTuple):
     fault: NDArray[np.float64]
     residual: NDArray[np.float64]
     evidence: NDArray[np.float64]  # size of each fault that is held responsible (N, a), zero for all others
-    # channels whose evidence counts (N, a): in a bank not those that are compared where no hypothesis explains the data
+    # channels whose evidence counts (N, a): all but the compared ones of a bank in which no hypothesis explains the
+    # data
     counted: NDArray[np.bool_]
     # smoothed estimate of each fault (N, a), in a bank under its smallest hypothesis, whichever is believed
     smoothed: NDArray[np.float64]
-    unexplained: NDArray[np.float64]  # score sqrt(min J) where no hypothesis explains the data, else zero (N,)
-    # how many times that of healthy flight the residuals' mean square is (N,), 1 or more
+    unexplained: NDArray[np.float64]  # score sqrt(min J) if no hypothesis explains the data, otherwise zero (N,)
+    # the residuals' mean square relative to that of healthy flight (N,), 1 or more
     level: NDArray[np.float64]
 
 
 def washout_inverse(tau: float, rate_hz: float, threshold: float) -> Washout:
-    """Return the inverse of the washout (tau, seconds) of one fault channel; :meth:`Washout.run` takes n rows.
+    """Return the inverse of the washout (tau, seconds) of one fault channel; :meth:`Washout.run` processes n rows.
 
-    It is given the smoothed estimate of the channel under its own hypothesis, every sample, whichever hypothesis is
+    Its input is the smoothed estimate of the channel under its own hypothesis in every sample, whichever hypothesis is
     believed: switching it off and on would cut pieces out of the integral. ``threshold`` is the channel's alarm
     threshold.
     """
@@ -79,28 +83,29 @@ def washout_inverse(tau: float, rate_hz: float, threshold: float) -> Washout:
 
 
 _SETTLED_S = 1.0
-"""How long a fault has to be over before it is forgotten. Chosen: eight time constants of the inertial bank's
+"""Time for which a fault has to be over before it is forgotten. Chosen: eight time constants of the inertial bank's
 smoothing, through which a step down passes zero."""
 _STANDS_S = 30.0
-"""How long a fault is given back that nothing measured speaks for: one time constant of the washouts. Chosen: a size
-that is older is not that of now."""
+"""Time for which the washed-out size of a fault is restored without support from a measurement: one time constant of
+the washouts. Chosen: an older size is no longer the present one."""
 
 
 _FLAT = 10.0 / 3.0
-"""Times as long as its jump a level has to last. Chosen: with jump and mean an edge is known within 0.2 s at 100 Hz."""
+"""Time that a level has to last, relative to its jump. Chosen: with jump and mean an edge is known within 0.2 s at 100
+Hz."""
 HOLD_S = 10.0
-"""How long an edge is held, seconds. Chosen: a longer one shows an old bias whose present size this sensor alone cannot
-tell, a shorter one clears alarms that still hold."""
+"""Time for which an edge is held, seconds. Chosen: a longer one shows an old bias whose present size this sensor alone
+cannot tell, a shorter one clears alarms whose fault still exists."""
 
 
 def edge_detector(
     rate_hz: float, limit: float, smallest: float | None, hold_s: float = HOLD_S, jump_s: float = 0.03
 ) -> EdgeDetector:
-    """Return a detector of edges in one sensor fault's estimate; :meth:`EdgeDetector.run` takes n rows.
+    """Return a detector of edges in one sensor fault's estimate; :meth:`EdgeDetector.run` processes n rows.
 
-    ``limit`` is the largest J = r' S^-1 r of the sensor's own hypothesis with which it is believed; ``smallest`` the
-    smallest edge that is held, in the unit of the estimate (None: edges only show), for ``hold_s`` seconds at most.
-    ``jump_s`` is the time that the estimate may take to jump, and the span of the mean that makes a level of it.
+    ``limit`` is the largest J = r' S^-1 r of the sensor's own hypothesis at which it is believed; ``smallest`` the
+    smallest edge that is held, in the unit of the estimate (None: edges are only shown), for at most ``hold_s``
+    seconds. ``jump_s`` is the time that the estimate may take to jump, and the length of the mean that gives a level.
     """
     return EdgeDetector(
         mean=max(1, round(jump_s * rate_hz)),
@@ -116,15 +121,16 @@ _HEALTHY = 3.5
 """J / p up to which a hypothesis with an edge is believed: one healthy sample in a thousand has more, for p = 4."""
 
 _RANK_TOLERANCE = 1e-6
-"""Smallest variance, relative to the largest, that counts as one. Measured on the fitted profiles of five vehicles:
-directions in which a residual cannot move have at most 1e-16, all others at least 4e-6."""
+"""Smallest variance, relative to the largest, that is not taken for zero. Measured on the fitted profiles of five
+vehicles: directions in which a residual cannot move have at most 1e-16, all others at least 4e-6."""
 
 
 class Bank:
     """The observers of a bank and the hypothesis believed at present.
 
-    Observer and rule have the hypotheses in one order, ``faults`` all fault channels (a,) in that of the estimates.
-    Edges smaller than a channel's alarm threshold are not held, washed-out faults smaller than it not given back.
+    Observer and rule have the hypotheses in one order, ``faults`` are all fault channels (a,) in the order of the
+    estimates. Edges smaller than a channel's alarm threshold are not held, and washed-out faults smaller than it not
+    restored.
     """
 
     def __init__(
@@ -170,7 +176,7 @@ class Bank:
     def run(self, given: Given, armed: NDArray[np.bool_]) -> EstimatorRun:
         """Process N samples; return the estimates under the hypothesis believed and the evidence after each.
 
-        ``armed`` says whether each is evidence (N,); the residuals of those that were corrected say nothing.
+        ``armed`` tells which samples are evidence (N,); the residuals of corrected samples have no meaning.
         """
         samples, beyond, corrected = given.samples, given.beyond, given.corrected
         restart, measured = samples.restart, samples.measured
@@ -183,7 +189,7 @@ class Bank:
 
 
 def owners(hypotheses: Sequence[FaultSet], faults: Sequence[str]) -> list[int]:
-    """Return the index of the smallest hypothesis that each fault is in: the one whose estimate is shown for it."""
+    """Return the index of the smallest hypothesis that contains each fault: its estimate is the one shown."""
     sizes = [len(hypothesis.faults) for hypothesis in hypotheses]
     return [
         min((k for k, hypothesis in enumerate(hypotheses) if name in hypothesis.faults), key=sizes.__getitem__)
@@ -202,8 +208,8 @@ def whitening(
 ) -> NDArray[np.float64]:
     """Return W_k (p, p) of each covariance with W_k' W_k = S_k^-1, stacked.
 
-    Directions in which a residual cannot move count nothing: a sensor fault takes up all that its output does, so the
-    residual under its hypothesis has no part there. ``measure`` says of which hypotheses (K,) the residuals tell how
+    Directions in which a residual cannot move count nothing: a sensor fault absorbs all that its output does, so the
+    residual under its hypothesis has no component there. ``measure`` tells the hypotheses (K,) whose residuals show how
     large an output's are (all).
     """
     diagonals = np.array([np.diag(covariance) for covariance in covariances])

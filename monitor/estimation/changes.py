@@ -1,31 +1,31 @@
-"""Faults that begin suddenly: the likelihood ratio of a loss of an actuator against health, sample by sample.
+"""Detect faults that begin suddenly: the likelihood ratio of a loss of an actuator against health, sample by sample.
 
-The observer's estimates answer within tenths of a second, its evidence has to stand; a sudden loss is certain after a
-few samples. The one-step innovation nu of the fitted model is coloured and its variance grows with what the model knows
-least; both are fitted to healthy flights:
+The observer's estimates answer within tenths of a second and its evidence has to last; a sudden loss is certain after a
+few samples. The one-step innovation nu of the fitted model is coloured, and its variance grows with the motion that the
+model describes worst; both are fitted to healthy flights:
 
     e(k) = nu(k) - sum_i Phi_i nu(k - i)                                   whitened by a vector autoregression
     sigma_i^2 = (c_0 + c_1 r_i^2 + c_2 d_i^2) lambda_i                     r, d: largest output and change of the
     z_i = e_i / sigma_i                                                    commanded effect over ``HOLD_S``
 
-lambda, 1 or more, follows the mean of e^2 over its healthy variance: in gusts that no fitted flight had it grows.
+lambda, at least 1, follows the mean of e^2 over its healthy variance: it grows in gusts that no fitted flight had.
 
-A row longer than ``clip`` is shortened, with the signatures of all hypotheses: it counts as one of larger noise. For
-hypothesis j, begun at t_0, the signature s_j(k) is the response of z to a whole loss of actuator j since t_0, before
-its lag or behind it (a broken propeller), to a loss that grows by the whole each second (or to a sensor that reads 1
-too much since t_0, or 1 more each second), through lag, model and the same filters, and
+A row longer than ``clip`` is shortened, with the signatures of all hypotheses: it counts as a row of larger noise. For
+hypothesis j, begun at t_0, the signature s_j(k) is the response of z, through lag, model and the same filters, to one
+of these faults since t_0: a whole loss of actuator j, before its lag or behind it (a broken propeller); a loss that
+grows by the whole each second; a sensor that reads 1 too much, or 1 more each second. Then
 
     g_j = max over t_0 of (sum s_j' z)^2 / (2 sum s_j' s_j),    theta_j = sum s_j' z / sum s_j' s_j
 
-is the logarithm, in nats, of how much likelier the data are with it than in health; theta_j is the share lost, known
-up to 1 / sqrt(sum s_j' s_j), and to as many times more as what is left of z is larger than noise (Birge's ratio). A
-loss is sudden between two samples: with onsets on samples alone one of 10 % read 5.6 % for three of them and 20 % 30 %,
-so t_0 is fitted, too. The actuator with the largest g_j is named where it is far enough ahead of all others, sensors
-among them, and explains most of what the window holds (:mod:`monitor.core.changes`). A loss grows where that explains
-it better than any sudden one. The observer says how large the fault is afterwards.
+g_j is the logarithm, in nats, of the likelihood of the data under the hypothesis over that in health. theta_j is the
+share lost; its standard deviation is 1 / sqrt(sum s_j' s_j), times the factor by which the rest of z exceeds noise
+(Birge's ratio). A loss begins between two samples: with onsets on samples alone, a loss of 10 % read 5.6 % for three
+samples and one of 20 % read 30 %, so t_0 is fitted, too. The actuator with the largest g_j is named if it is far enough
+ahead of all others, sensors among them, and explains most of the window (:mod:`monitor.core.changes`). A loss grows if
+that explains it better than any sudden one. The observer tells the size of the fault afterwards.
 
 An output that is no state is predicted from as many samples as its block of the model has states: with the block's
-characteristic polynomial, z^n + a_1 z^(n-1) + ... + a_n, sum_l a_l y(k - l) hangs on inputs alone (Cayley, Hamilton).
+characteristic polynomial, z^n + a_1 z^(n-1) + ... + a_n, sum_l a_l y(k - l) depends on inputs alone (Cayley, Hamilton).
 
 Sources: Willsky and Jones, IEEE Trans. Automatic Control 21(1), 1976; Lai, IEEE Trans. Information Theory 44(7), 1998.
 """
@@ -46,22 +46,23 @@ from monitor.core.changes import ChangeTest
 from monitor.estimation.excitation import HOLD_S, judged_outputs
 
 WINDOW_S = 2.0
-"""Onsets that are tried. Slower faults are the slow path's, whose mean is as long (slow_s of AlarmRule)."""
+"""Span of the onsets that are tried, seconds. Slower faults belong to the slow path, whose mean is as long (slow_s of
+AlarmRule)."""
 LEVEL_S = 3.0
 """Time constant of the noise's own level. Chosen: longer than the window, so that a fault cannot raise it before it is
-seen, and shorter than weather changes."""
+detected, and shorter than weather changes."""
 CLIP = 15.0
-"""Length of z from which a row counts as one of larger noise: no two rows can then raise an alarm (theory 5.1 (3))."""
+"""Length of z above which a row counts as one of larger noise: no two rows can then raise an alarm (theory 5.1 (3))."""
 
 
 _LARGEST_COMMAND = 10.0
-"""Commands are shares of full command, near 1; one that is larger comes from a broken sender. Chosen: far beyond
-both."""
+"""Largest command that is accepted. Commands are shares of full command, near 1; a larger one comes from a broken
+sender. Chosen: far above full command."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangeRule:
-    """What healthy flights say about the innovations of an observer."""
+    """The noise of an observer's innovations in healthy flights."""
 
     outputs: tuple[str, ...]  # the p outputs that are judged
     whitening: NDArray[np.float64]  # Phi_1 ... Phi_P (P, p, p)
@@ -73,12 +74,12 @@ class ChangeRule:
 
 
 class ChangeRun(NamedTuple):
-    """What the test says of n samples."""
+    """The results of the test for n samples."""
 
-    named: NDArray[np.intp]  # index of the fault that is named (n,), -1 where none is
+    named: NDArray[np.intp]  # index of the fault that is named (n,), -1 if none is
     nats: NDArray[np.float64]  # its log-likelihood ratio (n,)
-    # its size, by how much it grows each second, and the standard deviation of the size (n,): of an actuator's fault
-    # the share of its effect, negative where it lost
+    # its size, its growth each second, and the standard deviation of the size (n,): of an actuator's fault the share of
+    # its effect, negative for a loss
     size: NDArray[np.float64]
     growth: NDArray[np.float64]
     sd: NDArray[np.float64]
@@ -117,9 +118,9 @@ def changes_table(rule: ChangeRule) -> dict[str, Any]:
 class ChangeStage:
     """The test as one stage of an observer's chain.
 
-    ``inputs`` has the index of the input that each fault of the observer scales, None where it scales none. The test
-    names the former, or where the rule says so faults that add to the outputs, which are then predicted if they are no
-    states: sensors that jump, actuators that are off by a part of their deflection.
+    ``inputs`` has the index of the input that each fault of the observer scales, None for a fault that scales none. The
+    test names the former, or, if the rule lists them, faults that add to the outputs, which are then predicted if they
+    are no states: sensors that jump, actuators that are off by a part of their deflection.
     """
 
     def __init__(self, plant: Plant, rate_hz: float, inputs: Mapping[str, int | None], rule: ChangeRule) -> None:
@@ -160,10 +161,10 @@ class ChangeStage:
         asked: NDArray[np.float64] | None = None,
         ahead: FloatArray | None = None,
     ) -> ChangeRun:
-        """Process n samples; ``armed`` says which are evidence (n,), ``believed`` each fault's size (n, a).
+        """Process n samples; ``armed`` tells which are evidence (n,), ``believed`` each fault's size (n, a).
 
-        With ``asked`` (n,) samples name nothing that has fewer nats: that costs a small part of what all names do. With
-        ``ahead``, y of the sample after each (n, p), that is judged, a sample sooner.
+        With ``asked`` (n,) samples name nothing that has fewer nats: that costs a small part of the time for all names.
+        With ``ahead``, y of the sample after each (n, p), that later sample is judged, a sample sooner.
         """
         times_ns = samples.vehicle_time_ns
         if ahead is not None:
@@ -172,13 +173,13 @@ class ChangeStage:
         return ChangeRun(*self._test.run(*given, times_ns, armed, believed, asked, ahead is not None))
 
     def _given(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return u and y with those of the sample before beside them, as far as the prediction asks for them."""
+        """Return u and y with those of the samples before beside them, as far as the prediction needs them."""
         inputs = samples.u.shape[1]
         usable = np.repeat((samples.measured & samples.complete)[:, None], len(self._judged), axis=1)
         if self._adds:
             lost = samples.lost[:, inputs:]
             if self._partly:
-                # A sample that is not complete for what it lost is so for the rest.
+                # A sample that is incomplete only for its lost values is complete for the rest.
                 usable |= samples.measured[:, None] & lost.any(axis=1, keepdims=True)
                 usable &= ~lost[:, self._judged]
             # Surfaces move all outputs.
@@ -198,7 +199,7 @@ def _actuators_test(
     """Return the test of actuators: outputs are states, and jumps of them are no faults of the ``named`` ones."""
     dynamics = np.column_stack([plant.A, plant.B, plant.c])[judged]
     units = np.eye(len(plant.outputs))[judged]
-    # A jump that a filter lets through as slowly as the motors' lag, or two of them, must not pass for a motor.
+    # A jump that a filter passes as slowly as the motors' lag, or two of them, must not be taken for a motor's fault.
     lags = [np.ones(1), taps := np.array(plant.taps), np.convolve(taps, taps)]
     depth = len(rule.whitening) + 1 + len(lags[-1])
     courses = [np.clip(np.cumsum(np.pad(lag, (0, depth - len(lag)))), 0.0, 1.0) for lag in lags]
@@ -226,7 +227,7 @@ def _additions_test(
     judged: Sequence[int],
     common: Mapping[str, Any],
 ) -> tuple[int, ChangeTest]:
-    """Return from how many samples outputs are predicted, and the test of faults that add to them by that."""
+    """Return the number of samples from which outputs are predicted, and the test of faults that add to the outputs."""
     blocks = [predictor(plant, output) for output in judged]
     n, depth = len(plant.outputs), max(len(block.y) for block in blocks)
     dynamics = np.zeros((len(judged), depth * (n + len(plant.inputs)) + 1))
@@ -248,7 +249,7 @@ def _additions_test(
                 grown.append(course if grows else np.ones(len(rows)))
                 owner.append(at)
                 sudden.append(not grows)
-    # One value that is wrong is nobody's fault, nor is a gyro that jumps one of an actuator.
+    # One wrong value is nobody's fault, and a gyro that jumps is no fault of an actuator.
     for there in (rows < 2.0, rows > 0.0) if rule.lags_s else (rows < 2.0,):
         for output in judged:
             shown.append(np.outer(there, np.eye(n)[output]))
@@ -274,7 +275,7 @@ def _additions_test(
 def _courses(rule: ChangeRule, fault: str, rows: FloatArray, rate_hz: float) -> list[tuple[FloatArray, bool]]:
     """Return the courses that a fault may take from its onset on (D,), and which of them grow."""
     if rule.lags_s:
-        # at once (a broken surface), or as the servo follows
+        # at once (a broken surface), or as fast as the servo follows
         lag = rate_hz * rule.lags_s[fault]
         return [(-np.expm1(-rows / late) if late else np.ones(len(rows)), False) for late in sorted({0.0, lag})]
     # a jump on the straight line between two measurements, or from one sample to the next, and a walk
@@ -291,7 +292,7 @@ class Predictor(NamedTuple):
 
 
 def predictor(plant: Plant, output: int) -> Predictor:
-    """Return how an output follows from those before it, of a plant in discrete time that is linear there."""
+    """Return how an output follows from earlier samples, for a plant in discrete time that is linear in that output."""
     moves = np.linalg.matrix_power((plant.A != 0.0) | np.eye(len(plant.A), dtype=np.bool_), len(plant.A))
     block = np.flatnonzero((plant.C[output] != 0.0) @ moves)
     A, C = plant.A[np.ix_(block, block)], plant.C[output, block]
@@ -315,7 +316,7 @@ def _shown(plant: Plant, fault: int, course: FloatArray) -> FloatArray:
 
 
 def _unpredicted(added: FloatArray, dynamics: FloatArray, judged: Sequence[int]) -> FloatArray:
-    """Return what additions (D, S, n) to the outputs make of the innovations (D, S, p)."""
+    """Return the innovations (D, S, p) that additions (D, S, n) to the outputs cause."""
     nu = added[:, :, judged].copy()
     n = added.shape[2]
     for lag in range(1, dynamics.shape[1] // n + 1):

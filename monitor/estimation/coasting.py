@@ -1,17 +1,17 @@
-"""Steps around lost measurements: by the model alone, and the first one after it.
+"""Compute an observer's steps around lost measurements: by the model alone, and the first one afterwards.
 
 With the recursion of :mod:`monitor.estimation.affine` the residual is yt = R_s s + R_y y + R_v v + r. An observer
 coasts on the y that makes it zero: the states follow the model, an actuator fault keeps its size (with integrators of
-order 2, its rate). Where that leaves y open, because states or a sensor fault take up all that an output does, the
-faults keep their sizes.
+order 2, its rate). If that leaves y open, because states or a sensor fault absorb all that an output does, the faults
+keep their sizes.
 
-When measurements return, y differs from what is expected by the drift of many steps. The gains would treat it as the
-drift of a single step: it would throw the estimates of faults off by many times their noise, and short gaps in quick
+When measurements return, y differs from its expected value by the drift of many steps. The gains would treat it as the
+drift of a single step: the estimates of faults would be off by many times their noise, and short gaps in quick
 succession would make them diverge. So the observer resumes first: the states move by initial_matrix (y - expected y),
 as at a restart, while states that are not measured, and the faults, stay.
 
-All of this is linear in z = [s; v; y; 1; g; f], f = [fa^; fs^] the estimates of the step before: substituted once, a
-step of either kind is a single product, as any other.
+All of this is linear in z = [s; v; y; 1; g; f], f = [fa^; fs^] the estimates of the step before: after one
+substitution, a step of either kind is a single product, as any other.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from gains.synthesis.gains_file import Gains
 
 _WEAK = 0.01
-"""Singular values, relative to the largest, below which an output hardly shows in the residual. Measured: gains whose
-left inverse is free have 0.002 to 1e-6 where their states take a measurement up almost wholly, all others 0.2 and more;
-solving for it there threw estimates of motors off by half of full command."""
+"""Singular values, relative to the largest, below which an output hardly shows in the residual. Measured: gains with a
+free left inverse have 0.002 to 1e-6 if their states absorb a measurement almost completely, all others 0.2 and more;
+solving for such an output moved estimates of motors by half of full command."""
 
 
 class StepMap(NamedTuple):

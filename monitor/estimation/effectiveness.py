@@ -1,8 +1,8 @@
-"""How much of its command an actuator still delivers: loss and offset from the fault estimate, with their errors.
+"""Estimate the share of its command that an actuator still delivers: loss and offset from the fault estimate.
 
-A surface that lost a share of its effectiveness shows nothing while it is at trim: its additive fault estimate
-f^ has to be read against the deflection at which it arose. With u the effect commanded (lagged like f^) and m the
-effect of a full constant deflection (speed scaling; 1 where there is none),
+A surface that lost a share of its effectiveness shows nothing while it is at trim: its additive fault estimate f^ has
+to be compared with the deflection at which it arose. With u the effect commanded (lagged like f^) and m the effect of a
+full constant deflection (speed scaling; 1 if there is none),
 
     f^ = -loss u + offset m + noise.
 
@@ -10,19 +10,18 @@ Both are followed by least squares with exponential forgetting: information Lamb
 
     Lambda <- e^(-T / memory) Lambda + w phi phi',   b <- e^(-T / memory) b + w phi f^,     phi = [-u, m],
 
-where 1 / w is the variance of the noise times the number of samples that count as one (noise is coloured). The noise
-is what the fitted flights had, times what this run shows beyond them: by how much worse loss and offset explain f^ over
-the last 20 s (gusts), and by how far inputs and outputs lie outside of them (saturation, stall, products of rates:
-outputs count by their squares). Loss
-alone and offset alone are tested each by itself, estimate over standard error, the latter including how wrong the
-healthy model may be in both, and that the time between u and f^ is known within ``timing_s`` only, which looks like a
-fault of size timing_s u' while u moves. The size that explains more, b_i^2 / Lambda_ii, is the evidence. An
-unexcited actuator has a large standard error: it is neither accused nor acquitted.
+where 1 / w is the variance of the noise times the number of samples that count as one (noise is coloured). The noise is
+that of the fitted flights, times two factors of this run: how much worse loss and offset explain f^ over the last 20 s
+(gusts), and how far inputs and outputs are outside of the fitted flights (saturation, stall, products of rates: outputs
+count by their squares). Loss alone and offset alone are each tested by estimate over standard error. The standard error
+includes the error of the healthy model in both, and that the time between u and f^ is known only within ``timing_s``,
+which looks like a fault of size timing_s u' while u moves. The size that explains more, b_i^2 / Lambda_ii, is the
+evidence. An unexcited actuator has a large standard error: it is neither accused nor acquitted.
 
-A short memory sees a large fault, and its end, at once; a long one a small fault. The shortest memory with a verdict
-decides. Where health explains the shortest memory better than its accusation does, the accusation is dropped and all
-before forgotten: the time in which an actuator was deflected would otherwise outweigh the time at rest. The rules
-themselves, row after row, are :class:`monitor.core.effectiveness.EffectivenessEstimator`.
+A short memory detects a large fault, and its end, at once; a long one a small fault. The shortest memory with a verdict
+decides. If health explains the data of the shortest memory better than its accusation does, the accusation is dropped
+and everything before is forgotten: the time in which an actuator was deflected would otherwise outweigh the time at
+rest. The rules themselves, row after row, are :class:`monitor.core.effectiveness.EffectivenessEstimator`.
 """
 
 from __future__ import annotations
@@ -37,19 +36,19 @@ from numpy.typing import NDArray
 from adapters.toml_tables import Table
 
 _SMALLEST_NOISE = 1e-12
-"""In units of the output: evidence is divided by it."""
+"""Least noise, in units of the output: evidence is divided by it."""
 _SMALLEST_CERTAINTY = 1.0
-"""Standard errors. One is the least that tells a loss from none at all."""
+"""Least certainty, standard errors. One is the least that tells a loss from none at all."""
 
 
 def read_effectiveness(
     table: Table, faults: Mapping[str, int | None], inputs: Sequence[str], *, bank: bool
 ) -> dict[str, EffectivenessRule]:
-    """Return the rules of an effectiveness table, in which each fault has one, by fault.
+    """Return the rules of an effectiveness table by fault; every fault has one.
 
-    ``faults`` has the index of the input that each fault of the observer scales, None where it scales none. Estimates
-    of a ``bank`` hold under one hypothesis each only. Mistakes are recorded in the table's file: a key that is missing,
-    unknown or wrong, or a fault that scales no input.
+    ``faults`` has the index of the input that each fault of the observer scales, None for a fault that scales none.
+    Estimates of a ``bank`` each hold under one hypothesis only. Mistakes are recorded in the table's file: a key that
+    is missing, unknown or wrong, or a fault that scales no input.
     """
     rules = {}
     for name in table:
@@ -101,7 +100,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class EffectivenessRule:
-    """How one actuator's fault estimate is read."""
+    """The rule by which one actuator's fault estimate is read."""
 
     noise: float  # standard deviation of f^ in healthy operation, in effect units
     inflation: float  # number of consecutive samples of that noise that count as one
@@ -118,31 +117,32 @@ class EffectivenessRule:
     # fade first
     hold_s: float = 3.0
     full: str | None = None  # input that is the effect of a full constant deflection; None: that effect is 1
-    # largest mean square over 20 s of what loss and offset left of f^ in healthy flights, over noise^2; 0: not compared
+    # largest mean square over 20 s of the part of f^ that loss and offset do not explain in healthy flights, over
+    # noise^2; 0: not compared
     misfit: float = 0.0
 
 
 class EffectivenessRun(NamedTuple):
     """Loss and offset of an actuator after each of n samples (n,).
 
-    Not a number where the sample is no evidence, except ``size``.
+    NaN at samples that are no evidence, except ``size``.
     """
 
-    # share of the commanded effect that is missing if that is all that is wrong, and its standard error
+    # share of the commanded effect that is missing if there is no offset, and its standard error
     loss: Array
     loss_error: Array
-    # constant deflection that is there without command, as a fraction of full deflection, likewise
+    # constant deflection that exists without command if there is no loss, as a fraction of full deflection, likewise
     offset: Array
     offset_error: Array
-    score: Array  # the one that explains more over its standard error
-    # deflection that is missing (negative) or there without command in the actuator's present use, as a fraction of
-    # full deflection, where one of the two is certain and matters; zero where not; not a number where an accusation can
-    # neither be confirmed nor dropped for want of excitation
+    score: Array  # estimate over standard error of the one that explains more
+    # deflection that is missing (negative) or exists without command in the actuator's present use, as a fraction of
+    # full deflection, if one of the two is certain and matters; otherwise zero; NaN while an accusation can neither be
+    # confirmed nor dropped for lack of excitation
     evidence: Array
-    # -loss where that is certain beside an offset; else, where loss explains more than an offset does and is the
-    # evidence, -loss alone; else not a number
+    # -loss if the loss is certain beside an offset; or -loss alone, if loss explains more than an offset does and is
+    # the evidence; otherwise NaN
     share: Array
     # evidence last known: while an accusation can neither be confirmed nor dropped it stays, without evidence it is
     # zero
     size: Array
-    larger: Array  # how many times larger than in the fitted flights the errors of f^ are
+    larger: Array  # factor of the errors of f^ over those in the fitted flights

@@ -1,8 +1,8 @@
-"""What an observer was fitted on, and how its sizes grow outside of that.
+"""The limits of the motion that an observer was fitted on, and how its sizes grow outside of them.
 
-Where sensors are compared through the vehicle's attitude, errors of scale and of timing grow in proportion to the tilt
-and to the rates that they act on. Sizes were calibrated on flights that reached some tilt and some rate; at f times as
-much they are f times as large, and as what is integrated remembers its errors, so is f. Inside, f is 1.
+If sensors are compared through the vehicle's attitude, errors of scale and of timing grow in proportion to the tilt and
+to the rates that they act on. Sizes were calibrated on flights that reached some tilt and some rate; at f times as much
+they are f times as large, and as integrated signals remember their errors, so is f. Inside, f is 1.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from adapters.toml_tables import Table
 from monitor.core.excitation import Beyond
 
 _MEMORY_S = 30.0
-"""Time constant with which the excess fades, seconds: that of the washed-out positions and angles, in which errors
-stay as long."""
+"""Time constant with which the excess fades, seconds: that of the washed-out positions and angles, in which errors stay
+for that time."""
 WORTH_SAYING = 1.25
 """Excess from which people are told. Chosen: a quarter beyond is another kind of flying, and no gust."""
 _ORDINARY = (radians(30.0), radians(60.0), 0.0)
 """Tilt and rate of ordinary flight, by ArduPilot's defaults (ANGLE_MAX, ATC_SLEW_YAW): errors of a hover are noise, and
-do not grow in proportion to its tilt of a degree or two. Without it a jump of GPS by 5 m was missed over a radio."""
+do not grow in proportion to its tilt of a degree or two. Without these limits a jump of GPS by 5 m was missed over a
+radio."""
 _SIGNALS = ("roll", "pitch", "xgyro", "ygyro", "zgyro", "gps_speed")
 
 
@@ -68,24 +69,24 @@ def _core(envelope: Envelope, signals: Sequence[str], rate_hz: float) -> Beyond:
 
 
 class EnvelopeStage:
-    """How far a flight is outside of the envelope, sample by sample."""
+    """Computes how far a flight is outside of the envelope, sample by sample."""
 
     def __init__(self, envelope: Envelope, signals: Sequence[str], rate_hz: float) -> None:
         self._envelope, self._rate_hz = envelope, rate_hz
         self._core = _core(envelope, signals, rate_hz)
 
     def run(self, raw: Samples, ends: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return how many times larger sizes are at some of n rows of raw signals (m,)."""
+        """Return the factor on the sizes at some of n rows of raw signals (m,)."""
         return self._core.run(raw.u, raw.restart, ends)
 
     @property
     def outside(self) -> str | None:
-        """What lately lay outside of the fitted flights, for people; None where nothing did."""
+        """The latest excess over the fitted flights, for people; None if there was none."""
         return outside_text(self._sizes(self._core.reached), self._core.factor)
 
     @property
     def furthest(self) -> tuple[float, str] | None:
-        """For how long, seconds, and how far a run lay outside of the fitted flights; None where it did not."""
+        """For how long, seconds, and how far a run was outside of the fitted flights; None if it was not."""
         sizes, after = self._sizes(self._core.furthest), "there and for half a minute after sizes are larger"
         return furthest_text(sizes, self._core.rows / self._rate_hz, after)
 
@@ -96,9 +97,9 @@ class EnvelopeStage:
 
 
 def excess_text(sizes: Iterable[tuple[str, float, float, str]]) -> str | None:
-    """Return which sizes (name, now, in the fitted flights, unit) are worth telling; None where none is.
+    """Return which sizes (name, now, in the fitted flights, unit) are worth telling; None if there are none.
 
-    What is 0 in the fitted flights was not measured there.
+    A size of 0 in the fitted flights was not measured there.
     """
     parts = (
         f"{name} {now:.3g} {unit}, fitted to {fitted:.3g}"
@@ -111,12 +112,15 @@ def excess_text(sizes: Iterable[tuple[str, float, float, str]]) -> str | None:
 def furthest_text(
     sizes: Iterable[tuple[str, float, float, str]], seconds: float, after: str
 ) -> tuple[float, str] | None:
-    """Return for how long and how far a run lay outside of the fitted flights, and what follows; None: it did not."""
+    """Return for how long and how far a run was outside of the fitted flights, and the consequence.
+
+    None: it was not.
+    """
     text = excess_text(sizes)
     return None if text is None else (seconds, f"outside the fitted flights: {text}; {after}")
 
 
 def outside_text(sizes: Iterable[tuple[str, float, float, str]], factor: float) -> str | None:
-    """Return what of a flight lies outside of the fitted ones, and how many times larger a fault has to be there."""
+    """Return which sizes of a flight are outside of the fitted ones, and the factor on the faults detected there."""
     text = excess_text(sizes)
     return text and f"outside the fitted flights ({text}): seen from {factor:.2g} times the sizes on"

@@ -17,7 +17,7 @@ from monitor.estimation.observer import Observer
 class JointEstimator:
     """One observer for all faults together, each of which answers for its own smoothed estimate.
 
-    Its joint estimate explains whatever comes: nothing is unexplained, and the evidence of every channel counts.
+    Its joint estimate explains any data: nothing is unexplained, and the evidence of every channel counts.
     """
 
     def __init__(self, observer: Observer, rule: IndependentRule) -> None:
@@ -28,7 +28,7 @@ class JointEstimator:
     def run(self, given: Given, armed: NDArray[np.bool_]) -> EstimatorRun:
         """Process N samples; return the estimates and the evidence after each.
 
-        Which are evidence (``armed``), lie beyond the fitted flights or were corrected changes nothing here.
+        It does not matter here which are evidence (``armed``), lie outside of the fitted flights or were corrected.
         """
         samples, restart, measured = given.samples, given.samples.restart, given.samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)
@@ -51,7 +51,7 @@ Estimator = JointEstimator | Bank
 def make_estimator(
     observer: Observer, rule: IsolationRule, faults: Sequence[str], thresholds: Mapping[str, float]
 ) -> Estimator:
-    """Return the estimator that a profile's isolation asks for; that of a bank has an observer of several hypotheses.
+    """Return the estimator for a profile's isolation; that of a bank has an observer of several hypotheses.
 
     ``faults`` are all fault channels in the order of the estimates, ``thresholds`` those of their alarms.
     """

@@ -1,15 +1,15 @@
-"""How far the model of an observer can be trusted at each sample: its errors grow with what excites them.
+"""The accuracy of an observer's model at each sample: its errors grow with the motion that excites them.
 
-A model that is a few per cent wrong makes errors of a few per cent of what the vehicle does. In a calm hover that is
+A model that is a few per cent wrong makes errors of a few per cent of the vehicle's motion. In a calm hover that is
 nothing, in a flip it is more than any fault. The deviation of an actuator's estimate is therefore taken to be
 
     s^2 = max(1, lambda (c_0 + c_1 r^2 + c_2 d^2) + b_1 (r^2 - R^2)+ + b_2 (d^2 - D^2)+)
 
 times its threshold, with lambda the level of the run's own residuals (:mod:`monitor.estimation.bank`), r the largest
 output (body rate) and d the largest change of a command from one sample to the next, over the last ``HOLD_S``. The c
-are fitted to the estimates of healthy flight, in which r reached R and d reached D. Beyond these nothing is known of
-this vehicle, and b, what others have shown, is added: sizes that raise an alarm grow by themselves where a flight is
-livelier than those that were fitted.
+are fitted to the estimates of healthy flight, in which r reached R and d reached D. Beyond R and D nothing is known of
+this vehicle, and b, measured on others, is added: sizes that raise an alarm grow by themselves if a flight is livelier
+than those that were fitted.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from monitor.core.excitation import Excitation
 from monitor.estimation.envelope import WORTH_SAYING, furthest_text, outside_text
 
 HOLD_S = 0.3
-"""Model error outlasts what causes it: rates that decay and rotors that spin down take about as long (theory 5.1)."""
+"""Time for which motion counts after it has ended, seconds: model error outlasts its cause, and rates that decay and
+rotors that spin down take about as long (theory 5.1)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,29 +77,29 @@ class ExcitationStage:
     def __init__(self, rule: ExcitationRule, outputs: Sequence[str], inputs: int, rate_hz: float) -> None:
         judged = [outputs.index(name) for name in rule.outputs]
         numbers = np.array([getattr(rule, key) for key in _NUMBERS])
-        # as many samples as last HOLD_S, and the one at which a change of commands was seen
+        # as many samples as last HOLD_S, and the one at which a change of commands shows
         self._core = Excitation(judged, numbers, ceil(HOLD_S * rate_hz) + 1, inputs, WORTH_SAYING)
         self._fitted = rule.output_fitted, rule.command_fitted
         self._rate_hz = rate_hz
 
     def run(self, samples: Samples, level: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Process n samples of which the residuals have some level (n,).
+        """Process n samples whose residuals have some level (n,).
 
         Returns
         -------
         NDArray[np.float64]
-            r, d, s, and how many times further than in the fitted flights r or d is, 1 inside of them (n, 4).
+            r, d, s, and the factor by which r or d exceeds the fitted flights, 1 inside of them (n, 4).
         """
         return self._core.run(samples.u, samples.y, samples.restart, level)
 
     @property
     def outside(self) -> str | None:
-        """What of the last ``HOLD_S`` lies outside of the fitted flights, for people; None where nothing does."""
+        """The excess of the last ``HOLD_S`` over the fitted flights, for people; None if there is none."""
         return outside_text(self._sizes(*self._core.newest[:2]), self._core.newest[2])
 
     @property
     def furthest(self) -> tuple[float, str] | None:
-        """For how long, seconds, and how far a run lay outside of the fitted flights; None where it did not."""
+        """For how long, seconds, and how far a run was outside of the fitted flights; None if it was not."""
         sizes, seconds = self._sizes(*self._core.furthest), self._core.rows / self._rate_hz
         return furthest_text(sizes, seconds, "there sizes are larger")
 

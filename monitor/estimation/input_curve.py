@@ -1,7 +1,7 @@
 """The static input curve v = curve(u), a polynomial without constant term.
 
-An actuator fault that scales an input is estimated as a change f of its effect v = curve(u). What a person asks is
-how much of the command is missing: the command u_eff that would have had the effect curve(u) + f
+An actuator fault that scales an input is estimated as a change f of its effect v = curve(u). People want to know how
+much of the command is missing: the command u_eff that would have had the effect curve(u) + f
 (:class:`monitor.core.observers.CommandScale`).
 """
 
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from monitor.core.observers import effects
 
 LEAST_COMMAND = 0.02
-"""Smallest command, of full command 1, that a loss is stated as a share of. Chosen: the share of an estimate's
-error grows without bound as the command goes to zero."""
+"""Smallest command, as a share of full command, for which a loss is stated as a share. Chosen: the share of an
+estimate's error grows without bound as the command goes to zero."""
 _LARGEST_SHARE = 1.3
-"""Share of the command from which on an estimate tells nothing of an actuator. Measured: of motors that were stopped in
-flight 0.85 and 0.93 were read, up to 0.15 off; twice that beyond the whole."""
+"""Share of the command above which an estimate tells nothing of an actuator. Measured: motors that were stopped in
+flight read 0.85 and 0.93, up to 0.15 off; this is twice that error above the whole."""
 
 
 def effect_of_command(curve: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -28,8 +28,8 @@ def effect_of_command(curve: NDArray[np.float64], u: NDArray[np.float64]) -> NDA
 def relative_loss(fault: float, command: float) -> float | None:
     """Return fault over command (-0.05: five per cent less than commanded).
 
-    None where no share can be told: near zero command, and where it would be more than there is. Nothing lacks more
-    than the whole of its command: what an estimate has beyond is its own error.
+    None if no share can be stated: near zero command, and if the share would exceed the whole. No actuator lacks more
+    than its whole command: the excess of an estimate is its own error.
     """
     if abs(command) < LEAST_COMMAND or abs(fault / command) > _LARGEST_SHARE:
         return None

@@ -25,7 +25,7 @@ METHODS = ("independent", "bank")
 
 @dataclass(frozen=True, slots=True)
 class IndependentRule:
-    """Every channel answers for its own estimate, for plants whose faults the observer tells apart well."""
+    """Every channel answers for its own estimate, for plants whose faults the observer distinguishes well."""
 
     smoothing_s: float  # time constant of the smoothing, seconds
 
@@ -37,19 +37,19 @@ class BankRule:
     smoothing_s: float  # time constant of the smoothing of estimates and residuals, seconds
     tolerance: float  # share of the worst hypothesis' score that model error may leave on the right one
     score_floor: float  # score sqrt(r' S^-1 r) that healthy flight does not reach
-    # how much more evidence an actuator needs that would deliver more than commanded: motors fail towards less
+    # factor on the evidence for an actuator that would deliver more than commanded: motors fail towards less
     gain_penalty: float
     hypotheses: tuple[tuple[str, ...], ...]  # the faults of each hypothesis
     # healthy covariance of the smoothed residual of each hypothesis (p, p)
     covariances: tuple[NDArray[np.float64], ...]
-    # which hypotheses take no part in the comparison but watch for edges of the faults that no other has
+    # which hypotheses take no part in the comparison, and show edges of the faults that no other hypothesis has
     edges: tuple[bool, ...]
-    # time constant, seconds, with which the estimate of a fault is washed out and has to be given back
+    # time constant, seconds, with which the estimate of a fault is washed out before it is restored
     washouts: Mapping[str, float] = field(default_factory=dict)
-    jump_s: float = 0.03  # time that an estimate takes for an edge, seconds
+    jump_s: float = 0.03  # time within which an estimate makes an edge, seconds
     """Chosen: three samples at 100 Hz, as long as the mean of an edge's levels needs to follow."""
-    # root of the mean J of the hypothesis believed in healthy flight, 0 where the level of J is not followed, and the
-    # time constant, seconds, with which it is
+    # root of the mean J of the hypothesis believed in healthy flight, 0 if the level of J is not followed, and the time
+    # constant, seconds, with which it is
     usual_score: float = 0.0
     level_s: float = LEVEL_S
 
@@ -67,7 +67,7 @@ def edge_faults(rule: IsolationRule) -> frozenset[str]:
 
 
 def read_hypotheses(table: Table) -> tuple[tuple[str, ...], ...] | None:
-    """Return the faults of a bank's hypotheses, None where the isolation runs a single observer.
+    """Return the faults of a bank's hypotheses, None if the isolation runs a single observer.
 
     Mistakes are recorded in the table's file: an unknown method, or a bank that has no hypotheses or one twice.
     """

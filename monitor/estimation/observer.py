@@ -35,12 +35,12 @@ class ObserverRun(NamedTuple):
 
 
 class ErrorSystem(NamedTuple):
-    """How the errors of one observer move, [delta; phi]+ = A [delta; phi] + B w, phi = f^ - f its last entries."""
+    """The propagation of one observer's errors, [delta; phi]+ = A [delta; phi] + B w, phi = f^ - f its last entries."""
 
-    # a and Q = B B' of a row that is measured, coasted, and resumed: the first one measured after that (3, d, d)
+    # a and Q = B B' of a row that is measured, coasted, and resumed (the first one measured after coasting) (3, d, d)
     A: Array
     Q: Array
-    # covariance P while all is measured, P = A P A' + Q, and after a restart (d, d)
+    # covariance P while all rows are measured, P = A P A' + Q, and after a restart (d, d)
     steady: Array
     start: Array
 
@@ -70,14 +70,15 @@ class Observer(Protocol):
         u, y : NDArray[np.float64]
             Commands (N, s) and outputs (N, p).
         measured : NDArray[np.bool_] | None
-            Where not, y is ignored and the observer coasts: it goes on by its model alone (N,). None: everywhere.
+            Whether y is measured (N,). If not, y is ignored and the observer coasts by its model alone. None:
+            everywhere.
         restart : NDArray[np.bool_] | None
-            Where the observer first forgets the past and starts at the state that (u, y) explain without a fault
-            (N,). The first row ever restarts anyway. None: nowhere.
+            Whether the observer first forgets the past and starts at the state that explains (u, y) without a fault
+            (N,). The first row of all restarts anyway. None: nowhere.
         """
 
     def error_systems(self, plant: Plant) -> tuple[ErrorSystem, ...] | None:
-        """Return the error system of each hypothesis on the sampled plant, None where it is not known."""
+        """Return the error system of each hypothesis on the sampled plant, None if it is not known."""
 
     def settling_s(self) -> float:
         """Return the time after which a wrong start has no effect on fault estimates any more, seconds."""

@@ -1,9 +1,10 @@
-"""How far each fault estimate may be off, sample by sample: noise, lag and the model's own errors.
+"""The uncertainty of each fault estimate, sample by sample: noise, lag and the model's own errors.
 
-The errors of an observer and of its fault estimates move as its error system says
+The errors of an observer and of its fault estimates follow its error system
 (:class:`monitor.estimation.observer.ErrorSystem`), [delta; phi]+ = A [delta; phi] + B w with w white and as large as
-designed for, so their covariance is P+ = A P A^T + B B^T. While all is measured P stays at the solution of the Lyapunov
-equation P = A P A^T + B B^T and nothing has to be computed; after a loss or a restart it is stepped until it is back.
+designed for, so their covariance is P+ = A P A^T + B B^T. While all rows are measured P stays at the solution of the
+Lyapunov equation P = A P A^T + B B^T and nothing has to be computed; after a loss or a restart it is stepped until it
+is back.
 
 The scales are those of healthy flight (:mod:`monitor.fitting.spread`). A fault brings errors that healthy flight does
 not have, so the standard deviation of an alarm's size is
@@ -29,8 +30,8 @@ from monitor.estimation.bank import owners
 from monitor.estimation.observer import Observer
 
 LAG_S = 0.3
-"""How far estimates are behind their fault, seconds. Chosen: smoothing (0.05 to 0.12 s), motors' lag and the delay of
-fixes (0.1 to 0.2 s) together. On a GPS that walks by 0.7 m/s the estimate is 0.2 to 0.3 s behind."""
+"""Lag of estimates behind their fault, seconds. Chosen: smoothing (0.05 to 0.12 s), motors' lag and the delay of fixes
+(0.1 to 0.2 s) together. On a GPS that walks by 0.7 m/s the estimate lags by 0.2 to 0.3 s."""
 SHARE = 0.015
 """Part of the standard deviation in proportion to the size: errors of a model grow with what it explains, as curves,
 effects and washouts are known to some per cent. Measured on 42 recorded faults: from a second after the alarm on, the
@@ -38,15 +39,15 @@ truth is within two standard deviations for 94, 97 and 98 % of the time with 0.0
 gave 83 % (motors) and 42 % (GPS)."""
 
 _BACK = 0.01
-"""Standard deviations within this share of the steady ones count as those. Chosen: a hundredth shows in no plot and no
-alarm, while the rest of an exponential approach would be stepped for nothing."""
+"""Share of the steady standard deviations within which others count as steady. Chosen: a hundredth shows in no plot and
+no alarm, while the rest of an exponential approach would be stepped in vain."""
 
 
 class Uncertainty:
     """Standard deviations of the fault estimates of one observer or bank, designed for a plant.
 
-    ``faults`` are all fault channels (a,) in the order of the estimates, ``scale`` says how many times larger those of
-    some are than the error system has them.
+    ``faults`` are all fault channels (a,) in the order of the estimates, ``scale`` has factors on the standard
+    deviations of the error system, for some of them.
     """
 
     def __init__(
@@ -87,8 +88,8 @@ class Uncertainty:
     def run(self, measured: NDArray[np.bool_], restart: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return one standard deviation of each fault estimate after each of n samples (n, a), effect units.
 
-        Not a number where there is no plant, or the observer has no error system. ``measured`` says whether the outputs
-        of each sample were measured (n,), ``restart`` whether the observer restarts before it (n,).
+        NaN if there is no plant, or the observer has no error system. ``measured`` tells whether the outputs of each
+        sample were measured (n,), ``restart`` whether the observer restarts before it (n,).
         """
         if self._covariance is None:
             return np.full((len(measured), self._channels), np.nan)
@@ -99,7 +100,7 @@ class Uncertainty:
     ) -> NDArray[np.float64]:
         """Return the standard deviation of n sizes of alarms (n, a); ``sd`` is that of healthy flight.
 
-        ``level`` is how many times that of healthy flight the residuals' mean square is (n,).
+        ``level`` is the residuals' mean square relative to that of healthy flight (n,).
         """
         every = np.concatenate([self._sizes, sizes])
         noise = sd * np.sqrt(level)[:, None]
