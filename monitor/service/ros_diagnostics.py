@@ -1,8 +1,8 @@
-"""How vehicles are, as ROS 2 sees it: ``/diagnostics`` for rmw_zenoh, without ROS.
+"""Publish the health of the vehicles for ROS 2: ``/diagnostics`` for rmw_zenoh, without ROS.
 
 A ``diagnostic_msgs/DiagnosticArray`` in CDR once a second, on the key and with the attachment of rmw_zenoh (zenoh 1.x:
-ROS 2 Jazzy and later), and the liveliness tokens by which ``ros2 topic list`` knows of it. For each vehicle a status of
-its watch and one of each observer, with the size of each fault channel.
+ROS 2 Jazzy and later), and the liveliness tokens by which ``ros2 topic list`` finds it. For each vehicle it has one
+status of the monitoring and one of each observer, with the size of each fault channel.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class RosDiagnostics:
         self._publisher.put(diagnostics_payload(diagnostics(health), now_ns), attachment=attachment)
 
     def close(self) -> None:
-        """Withdraw everything declared."""
+        """Withdraw all declarations."""
         declared: list[Any] = [*self._tokens, self._publisher]
         for declaration in declared:
             declaration.undeclare()

@@ -50,18 +50,19 @@ if TYPE_CHECKING:
 
 _MEGABYTE = 1_000_000
 _MINUTE_S = 60
-"""Seconds over which drops are counted for status and ``/healthz``: as long as a scraper may wait between two looks."""
+"""Time over which drops are counted for status and ``/healthz``, seconds: as long as a scraper may wait between two
+requests."""
 _SETTLE_S = 0.1
-"""How long an alarm waits for the disk. Chosen: a hundred times what a commit takes on a healthy one, and short beside
-what people notice; who waited in vain does not wait again until the disk has caught up."""
+"""How long an alarm waits for the disk. Chosen: a hundred times as long as a commit takes on a healthy disk, and short
+beside what people notice; after a wait in vain the next alarm does not wait until the disk has caught up."""
 
 
 class Station:
     """The vehicles of one daemon; the session is left open by :meth:`close`.
 
-    ``read_again`` reads the configuration anew, for a reload; ``links`` are asked for their counts, ``views`` show the
-    vehicles, the ``messengers`` tell people of their alarms. ``reloads`` counts the reloads that are over, failed
-    ones included. Raises UsageError or TelemetryError where a profile cannot be used, or a folder not written to.
+    ``read_again`` reads the configuration anew, for a reload; the ``links`` return their counts, ``views`` show the
+    vehicles, the ``messengers`` tell people of their alarms. ``reloads`` counts the finished reloads, failed ones
+    included. Raises UsageError or TelemetryError if a profile cannot be used, or a folder cannot be written to.
     """
 
     def __init__(
@@ -116,12 +117,12 @@ class Station:
         return tuple(self._services.values())
 
     def name_of(self, vehicle: Vehicle) -> str:
-        """Return the name of a vehicle of the configuration, which may be its profile's."""
+        """Return the name of a vehicle of the configuration, which may be that of its profile."""
         folder = vehicle.profile
         return vehicle.name or (self._profiles[folder].name if folder is not None else "")
 
     def first_identified(self) -> Pipeline | None:
-        """Return the pipeline of a vehicle that has said what it is, None where none has."""
+        """Return the pipeline of a vehicle that has reported its ids, None if none has."""
         pipelines = (service.monitor.pipeline for service in self.services)
         return next((pipeline for pipeline in pipelines if pipeline.identified), None)
 
@@ -131,11 +132,11 @@ class Station:
             self._say_monitoring(vehicle)
 
     def troubles(self) -> Sequence[str]:
-        """Return what is wrong around all vehicles."""
+        """Return the troubles that concern all vehicles."""
         return self._troubles
 
     def health(self) -> Health:
-        """Return everything as of at most a second ago; any thread may call it."""
+        """Return the state of everything, at most a second old; any thread may call it."""
         health = self._health
         age_s = (time.monotonic_ns() - self._turn_ns) / 1e9 if self._turn_ns else 0.0
         return replace(health, process=replace(health.process, loop_age_s=age_s))
@@ -174,7 +175,7 @@ class Station:
             self._say_states()
 
     def reload(self) -> None:
-        """Read configuration and profiles again, in a thread: monitoring goes on meanwhile."""
+        """Read configuration and profiles again, in a thread; monitoring continues meanwhile."""
         threading.Thread(target=self._load, name="reload", daemon=True).start()
 
     def close(self) -> None:
@@ -214,7 +215,7 @@ class Station:
         self._log.say("reloaded", vehicles=len(self._services))
 
     def _meet(self, system: int) -> VehicleMonitor | None:
-        """Return the monitor of a vehicle that nobody has named."""
+        """Return the monitor of a vehicle that the configuration does not name."""
         if self._new >= self._config.new_vehicles.limit:
             self._log.say("vehicle refused", level="warning", system=system, reason="[new_vehicles] limit is reached")
             return None
@@ -259,7 +260,7 @@ class Station:
         return service
 
     def _beat(self) -> None:
-        """Let the ground station know that the vehicles this monitor is active for are watched, and how they are."""
+        """Report to the ground station which vehicles this monitor is active for, and their state."""
         if self._ground is None:
             return
         beats = {}
@@ -293,7 +294,7 @@ class Station:
                 self._log.say("slow profile", vehicle=name, observer=observer.name, advice=advice)
 
     def _say_states(self) -> None:
-        """Log how each vehicle's status has changed: not every one has a subscriber."""
+        """Log each change of a vehicle's status, since not every vehicle has a subscriber."""
         for name, service in self._services.items():
             said = service.last_status
             status = VehicleStatus(name, said.get("state", "starting"), tuple(said.get("reasons", ())))
@@ -304,13 +305,13 @@ class Station:
                 self._log.say("status", level=level, vehicle=name, state=status.state, **why)
 
     def _links_of(self, vehicle: Vehicle) -> tuple[LinkHealth, ...]:
-        """Return the links that all share, and the vehicle's own."""
+        """Return the links that all vehicles share, and the vehicle's own."""
         names = self._shared_links | {vehicle.zenoh}
         return tuple(link for link in self._health.links if link.name in names)
 
     @property
     def _sharers(self) -> int:
-        """Return how many vehicles share what recordings and clips may take."""
+        """Return how many vehicles share the room for recordings and clips."""
         new = self._config.new_vehicles
         return max(len(self._config.vehicles) + (0 if new.profile is None else new.limit), 1)
 
@@ -352,7 +353,7 @@ class Station:
         return archive
 
     def _finish(self, archive: BackgroundArchive, recorder: Recorder | None, pipeline: Pipeline) -> None:
-        """End recordings with the clock's mapping, which is known only then."""
+        """End recordings with the clock's mapping, which is only known at their end."""
         archive.close(pipeline.metadata())
         if recorder is not None and (reason := recorder.statistics().failed) is not None:
             self._log.say("recording incomplete", level="error", vehicle=pipeline.vehicle, reason=reason)
@@ -377,5 +378,5 @@ class Station:
 
 
 def _models(profile: Profile) -> dict[str, bytes]:
-    """Return what of a profile cannot change while it runs: models and gains."""
+    """Return the parts of a profile that cannot change while it runs: models and gains."""
     return {name: data for name, data in profile.files.items() if name != PROFILE_FILE}

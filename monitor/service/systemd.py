@@ -1,4 +1,4 @@
-"""What systemd is told: ready, stopping, reloading, a status line, and food for its watchdog (sd_notify(3))."""
+"""Notify systemd: ready, stopping, reloading, a status line, and keep-alives for its watchdog (sd_notify(3))."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import time
 from collections.abc import Mapping
 
 _MAX_STATUS = 500
-"""Chosen: systemctl status shows it as one line."""
+"""Largest length of the status line. Chosen: systemctl status shows it as one line."""
 
 
 class Notifier:
-    """Datagrams to the service manager; does nothing where there is none. No trouble of the socket raises.
+    """Sends datagrams to the service manager, or nothing if there is none. No error of the socket raises.
 
     ``environment`` is that of the process: ``NOTIFY_SOCKET``, ``WATCHDOG_USEC`` and ``WATCHDOG_PID``. ``watchdog_ns``
-    is the time within which the watchdog wants to be fed, None where nobody watches; ``failed`` counts datagrams that
-    could not be sent.
+    is the time within which the watchdog expects a keep-alive, None without a watchdog; ``failed`` counts datagrams
+    that could not be sent.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
@@ -27,26 +27,26 @@ class Notifier:
         self._address = environment.get("NOTIFY_SOCKET", "")
         if self._address.startswith(("/", "@")):
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-            # a service manager that reads nothing shall not stop the monitor
+            # a service manager that does not read must not stop the monitor
             self._socket.setblocking(False)
 
     def ready(self, status: str = "") -> None:
-        """Say that the start, or a reload, is over."""
+        """Notify that the start, or a reload, is finished."""
         self._send("READY=1", *_status(status))
 
     def reloading(self) -> None:
-        """Say that the configuration is being read again; :meth:`ready` ends it."""
+        """Notify that the configuration is being read again; :meth:`ready` ends it."""
         self._send("RELOADING=1", f"MONOTONIC_USEC={time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000}")
 
     def stopping(self) -> None:
-        """Say that the end has begun."""
+        """Notify that the daemon is stopping."""
         self._send("STOPPING=1")
 
     def feed(self, alive: bool, now_ns: int | None = None) -> bool:
-        """Feed the watchdog while every part of the daemon is alive, at most three times as often as it wants.
+        """Feed the watchdog while every part of the daemon is alive, at most three times as often as it expects.
 
         If a part does not answer nothing is sent, and systemd will restart the daemon. ``now_ns`` is any steadily
-        growing time; None takes the monotonic clock. Return whether the watchdog was fed.
+        growing time; None: that of the monotonic clock. Return whether the watchdog was fed.
         """
         if not alive or self.watchdog_ns is None:
             return False
@@ -59,7 +59,7 @@ class Notifier:
         return sent
 
     def close(self) -> None:
-        """Close the socket; what is said afterwards goes nowhere."""
+        """Close the socket; later notifications are not sent."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -83,7 +83,7 @@ def _status(text: str) -> tuple[str, ...]:
 
 
 def _watchdog_ns(environment: Mapping[str, str]) -> int | None:
-    """Return the watchdog's time where it watches this very process (sd_watchdog_enabled(3))."""
+    """Return the watchdog's time if it watches this very process (sd_watchdog_enabled(3))."""
     try:
         microseconds = int(environment.get("WATCHDOG_USEC", "0"))
         process = int(environment.get("WATCHDOG_PID", str(os.getpid())))

@@ -1,4 +1,4 @@
-"""What keeps a vehicle's observers from watching: telemetry that does not come, comes too seldom, or is another's."""
+"""Find why observers get no samples: telemetry that does not come, comes too seldom, or belongs to another vehicle."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from monitor.profile import ObserverProfile
 from monitor.sampling.slow_telemetry import seldom_text
 
 _LACKING_NS = 5_000_000_000
-"""Chosen: ten times the half second of silence that is a gap; a message that long away does not come."""
+"""Time after which a message counts as missing. Chosen: ten times the half second of silence that is a gap."""
 _COUNTED_NS = 10_000_000_000
-"""Over which samples are counted. Chosen: at 10 Hz and more their share is known to 1 %."""
+"""Time over which samples are counted. Chosen: at 10 Hz and more their share is known to 1 %."""
 _FEWEST_SAMPLES = 20
-"""Below, a share says nothing."""
+"""Fewest samples of which a share has a meaning."""
 _SET_BACK_NS = 1_000_000_000
 """A time of arrival that is earlier by more than this shows that the clock was set back."""
 
 
 class TelemetryWatch:
-    """Follows which messages come and which observers sample, from Unix time ``now_ns`` on.
+    """Counts which messages come and which observers sample, from Unix time ``now_ns`` on.
 
-    ``needs`` names the messages that each observer's channels come from; ``latest_ns`` is when one of them came last,
-    the start while none did.
+    ``needs`` names the messages that each observer's channels come from; ``latest_ns`` is the time of the last such
+    message, at first that of the start.
     """
 
     def __init__(self, observers: Sequence[ObserverProfile], needs: Mapping[str, frozenset[str]], now_ns: int) -> None:
@@ -70,13 +70,13 @@ class TelemetryWatch:
         self._samples[observer] += count
 
     def pause(self, now_ns: int) -> None:
-        """Begin anew: until now nothing came, or what came was not taken in time."""
+        """Begin anew, after a time without messages or in which they were not processed in time."""
         self._since_ns, self._silent, self._asked_ns = now_ns, True, now_ns
         self._slow = {}
         self._count_anew(now_ns)
 
     def lacks(self, now_ns: int) -> list[str]:
-        """Return what keeps which observer from watching as it should, a line each."""
+        """Return why observers cannot watch as they should, a line for each."""
         self._count(now_ns)
         found = []
         for observer in self._observers:
@@ -89,7 +89,7 @@ class TelemetryWatch:
     def _count(self, now_ns: int) -> None:
         away_ns, self._asked_ns = now_ns - self._asked_ns, now_ns
         if not 0 <= away_ns < _COUNTED_NS:
-            # Asked every second: the clock was set, or the process stood still.
+            # This runs every second: the clock was set, or the process was stopped.
             self.pause(now_ns)
         elif now_ns - self._counted_ns >= _COUNTED_NS:
             lines = {observer.name: self._seldom(observer) for observer in self._observers}

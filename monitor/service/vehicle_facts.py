@@ -1,4 +1,4 @@
-"""What a vehicle says about itself that is shown beside its alarms: where it is, its flight mode, its messages."""
+"""Keep what a vehicle reports about itself, to be shown beside its alarms: position, flight mode, messages."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from adapters.errors import printable
 from monitor.recording.foxglove_records import places
 
 _TEXTS = 20
-"""Messages that are kept. Chosen: an autopilot says fewer in a minute."""
+"""Number of messages that are kept. Chosen: an autopilot sends fewer in a minute."""
 _MAX_TEXT = 254
-"""Letters of a message: five of MAVLink's chunks of 50, more than autopilots send."""
+"""Largest length of a message: five of MAVLink's chunks of 50, more than autopilots send."""
 _CHUNK = 50
-"""Letters of a STATUSTEXT that goes on in the next one."""
+"""Length of a STATUSTEXT that continues in the next one."""
 _NO_AUTOPILOT = 8
 """MAV_AUTOPILOT_INVALID: the heartbeat of a gimbal or a camera."""
 _NAMES = ("HEARTBEAT", "GLOBAL_POSITION_INT", "GPS_RAW_INT")
 
 
 class VehicleFacts:
-    """Keeps the latest of what a vehicle said about itself."""
+    """Keeps the latest reports of a vehicle about itself."""
 
     def __init__(self) -> None:
         self._facts: dict[str, Any] = {}
@@ -33,17 +33,17 @@ class VehicleFacts:
         self._unread: dict[tuple[str, int], Columns] = {}
 
     def take(self, own: Batch) -> None:
-        """Take messages of the vehicle."""
+        """Process messages of the vehicle."""
         for columns in own.columns:
             if columns.source.is_telemetry and (columns.name in _NAMES or "latitude" in columns.fields):
-                # only the newest of the time between two statuses is shown
+                # of the messages between two statuses only the newest is shown
                 self._unread[columns.name, columns.component] = columns
         for message in own.others.values():
             if message.name == "STATUSTEXT":
                 self._text(message.received_ns, message.fields)
 
     def status(self) -> dict[str, Any]:
-        """Return what is known, as the status has it."""
+        """Return the known facts, as they stand in the status."""
         for columns in self._unread.values():
             if columns.name == "HEARTBEAT":
                 self._heartbeat(columns.fields)

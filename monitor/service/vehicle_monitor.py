@@ -1,8 +1,8 @@
 """One monitored vehicle: its pipeline, its recording and publishing, its status.
 
-An event is on disk before it is published: in the recording and in the journal, then on Zenoh; a disk that takes long
-is not waited for. While another monitor of
-the vehicle is active, this one is on standby, and continues the other's alarms when that one is gone.
+An event is on disk before it is published: in the recording and in the journal, then on Zenoh; the monitor does not
+wait for a slow disk. While another monitor of the vehicle is active, this one is on standby, and continues the other's
+alarms when that one is gone.
 """
 
 from __future__ import annotations
@@ -37,13 +37,14 @@ if TYPE_CHECKING:
     from monitor.recording.background import BackgroundJournal
     from monitor.recording.journal import Journal
 
-# read once: it stands in a file of the installation
+# read once, since it is in a file of the installation
 _VERSION = version("fauio")
 _SILENCE_NS = 100_000_000
-"""Silence after which time passes by messages of its own: a tenth of the shortest time that an alarm counts (1 s)."""
+"""Silence after which messages of its own advance the pipeline's time: a tenth of the shortest time that an alarm
+counts (1 s)."""
 _BEHIND_S = 1.0
 _FENCE_NS = 1_000_000_000
-"""Without an answer of the election for so long, nothing is published: another monitor takes over after 2 s."""
+"""Time without an answer of the election after which nothing is published: another monitor takes over after 2 s."""
 _LARGEST_SEQ = 1 << 53
 _MOST_CHANNELS = 4096
 _LOSSES = ("late", "invalid", "untimed", "doubted", "incomplete", "skipped")
@@ -70,7 +71,7 @@ class _Second:
 class VehicleMonitor:
     """State of one monitored vehicle.
 
-    ``archives`` record and show it, ``journal`` keeps its alarm events for ever, ``on_event`` is called with every
+    ``archives`` record and show it, ``journal`` keeps its alarm events permanently, ``on_event`` is called with every
     event that this monitor publishes. ``settle`` waits for the disk before events are published. ``now_ns`` is the Unix
     time of the start.
     """
@@ -123,8 +124,8 @@ class VehicleMonitor:
     ) -> None:
         """Begin to publish, continuing the active alarms of an earlier run or of another monitor.
 
-        ``alarms`` are the last events of the active alarms in the journal, ``seq`` is the number of its last event,
-        behind which a new term of numbers begins, ``shelved`` says which channels operators had shelved in it, and
+        ``alarms`` are the last events of the active alarms in the journal, and ``seq`` is the number of its last event,
+        after which a new term of numbers begins. ``shelved`` has the channels that operators had shelved in it, and
         until when. Events received from another monitor are known already. :meth:`deactivate` closes the outlet.
         """
         self._outlet = outlet
@@ -136,15 +137,15 @@ class VehicleMonitor:
         self.process(pack([handover_message(in_order, seq, now_ns, shelved)]))
 
     def confirm(self, steady_ns: int) -> None:
-        """Note the steady time at which this monitor was still to be active; without, it always is."""
+        """Note the steady time at which this monitor was confirmed to be active; without a call, it always is."""
         self._confirmed_ns = steady_ns
 
     def deactivate(self) -> None:
-        """Stop publishing; go on monitoring on standby."""
+        """Stop publishing; continue to monitor on standby."""
         if self._outlet is not None:
             self._outlet.close()
             self._outlet = None
-            # The last published events hold until another monitor publishes others.
+            # The last published events remain valid until another monitor publishes others.
             self._peer_events = {(event.observer, event.channel): event for event in self.pipeline.desk.active}
             self._peer_seq = self.pipeline.desk.seq
 
@@ -168,8 +169,8 @@ class VehicleMonitor:
     def process(self, batch: Batch, ages_ns: Callable[[Sequence[int]], list[int]] | None = None) -> list[AlarmEvent]:
         """Run a batch through the pipeline, record and publish the results; return the published events.
 
-        Messages are in order of arrival, of this vehicle or of others. ``ages_ns`` tells how long ago times of arrival
-        were, to measure how late messages and events are.
+        Messages are in order of arrival, of this vehicle or of others. ``ages_ns`` is the age of times of arrival, from
+        which the delays of messages and events are measured.
         """
         outputs = self.pipeline.run(batch)
         own = chosen(batch, self.pipeline.accepts)
@@ -196,15 +197,15 @@ class VehicleMonitor:
         if ages_ns is not None and telemetry:
             self.latency.add(ages_ns(telemetry))
             if events:
-                # The packet that caused an event is one of this batch, however the vehicle's clock is set.
+                # The packet that caused an event is in this batch, whatever the vehicle's clock shows.
                 first_ns, last_ns = min(telemetry), max(telemetry)
                 self.alarm_latency.add(ages_ns([min(max(event.time_ns, first_ns), last_ns) for event in events]))
         return events
 
     def pass_time(self, now_ns: int) -> None:
-        """Let the pipeline know that time has passed without telemetry; record it where that changed something."""
-        # Far before the latest message it is where the clock was set back: the pipeline counts from there on. A little
-        # before it there may be messages that links still hold.
+        """Let the pipeline know that time has passed without telemetry; record it if that changed anything."""
+        # A time far before the latest message shows that the clock was set back: the pipeline counts from there on. A
+        # little before it there may be messages that links still hold.
         if abs(now_ns - self._watch.latest_ns) < _SILENCE_NS:
             return
         batch = pack([silence(now_ns)])
@@ -215,7 +216,7 @@ class VehicleMonitor:
         self._publish(outputs)
 
     def freeze_frame(self, event: AlarmEvent) -> dict[str, Any]:
-        """Return all that was known when an alarm was raised: inputs, outputs, estimates and thresholds."""
+        """Return all known values at the time an alarm was raised: inputs, outputs, estimates and thresholds."""
         frame: dict[str, Any] = {"time_ns": event.time_ns, "observers": {}}
         for name, estimates in self._latest.items():
             layout, samples = self._layouts[name], estimates.samples
@@ -233,8 +234,7 @@ class VehicleMonitor:
     def status(self, now_ns: int, troubles: Sequence[str] = (), links: Sequence[LinkHealth] = ()) -> dict[str, Any]:
         """Return the status object and begin the next interval.
 
-        ``troubles`` say what is wrong around the vehicle (links, disks), ``links`` are those that its telemetry may
-        come over.
+        ``troubles`` are those around the vehicle (links, disks), ``links`` those that its telemetry may come over.
         """
         self._note_shelved()
         steady_ns = time.monotonic_ns()
@@ -286,7 +286,7 @@ class VehicleMonitor:
         return status
 
     def _state(self, now_ns: int, behind_s: float, troubles: Sequence[str]) -> tuple[VehicleState, list[str]]:
-        """Return the vehicle's state while the monitor is so far behind, and what is to be said about it."""
+        """Return the vehicle's state while the monitor is that far behind, and its reasons."""
         pipeline, reasons = self.pipeline, [*troubles]
         behind = behind_s > _BEHIND_S
         if behind or pipeline.stale:
@@ -321,7 +321,7 @@ class VehicleMonitor:
         }
 
     def health(self, state: VehicleState, recorder: ArchiveStatistics | None, now_ns: int) -> VehicleHealth:
-        """Return how it is doing at a Unix time in a state of its last status, with its recording, if any."""
+        """Return the vehicle's health at a Unix time, in a state of its last status, with its recording, if any."""
         watching = self.pipeline.watching(now_ns)
         severities = [event.severity for event in self.pipeline.desk.active]
         return VehicleHealth(
@@ -349,7 +349,7 @@ class VehicleMonitor:
         )
 
     def _channel_health(self) -> tuple[ChannelHealth, ...]:
-        """Return every channel that can be an alarm, with its size where it has one."""
+        """Return every channel that can be an alarm, with its size if it has one."""
         raised = {
             (event.observer, event.channel): event.severity
             for event in self.pipeline.desk.active
@@ -375,10 +375,10 @@ class VehicleMonitor:
             archive.flush()
 
     def _publish(self, outputs: Sequence[Estimates | AlarmEvent]) -> list[AlarmEvent]:
-        """Record all outputs, publish them where this monitor is active; return the published events."""
+        """Record all outputs, and publish them if this monitor is active; return the published events."""
         outlet = self._outlet
         if self._confirmed_ns is not None and time.monotonic_ns() - self._confirmed_ns > _FENCE_NS:
-            # It was away: another monitor may be active by now.
+            # This monitor was stopped for a while: another monitor may be active by now.
             outlet = None
         events = []
         for output in outputs:
@@ -411,7 +411,7 @@ class VehicleMonitor:
         return events
 
     def _note_shelved(self) -> None:
-        """Let the journal know what operators have shelved, where that changed."""
+        """Report the channels that operators have shelved to the journal, if they changed."""
         shelved = self.pipeline.desk.shelved_by_operators
         if shelved != self._shelved:
             self._shelved = shelved
@@ -420,7 +420,7 @@ class VehicleMonitor:
 
 
 def _with_own_sentence(event: AlarmEvent, known: AlarmEvent | None) -> AlarmEvent:
-    """Return an event with what its alarm says, where the event itself says what an operator did."""
+    """Return an event with its alarm's sentence, if the event's own sentence tells an operator's action."""
     if known is None or known.id != event.id or event.state not in ("acknowledged", "shelved"):
         return event
     return replace(event, message=known.message)

@@ -34,19 +34,20 @@ if TYPE_CHECKING:
     import zenoh
 
 STATUS_NS = 1_000_000_000
-"""A status a second, as the interface promises."""
+"""Time between statuses: a second, as the interface promises."""
 _FLUSH_NS = 500_000_000
-"""Chosen: what a kill costs of a recording at most; flushing more often makes small chunks."""
+"""Time between flushes. Chosen: a kill loses at most that much of a recording; flushing more often makes small
+chunks."""
 _AWAY_NS = 1_000_000_000
-"""A loop that was away for longer may have been taken for dead: another monitor may be active."""
+"""A loop that did not run for longer may have been taken for dead: another monitor may be active."""
 _PEER_EVENTS_AT_ONCE = 500
-"""Chosen: events of the active monitor that one turn of the loop takes, so that telemetry does not wait."""
+"""Largest number of the active monitor's events in one turn of the loop. Chosen: telemetry does not wait for them."""
 _REMEMBER_S = 0.5
 """How long the loop waits for the journal when it becomes active. Chosen: an index is read in milliseconds, 16 vehicles
-that wait for a disk that hangs stay below the watchdog's 10 s, and what the other monitor published is known without.
-"""
+that wait for a disk that hangs stay below the watchdog's 10 s, and the events that the other monitor published are
+known without the journal."""
 _PAST_EVENTS = 4096
-"""Events that the history starts with: as many as the publisher keeps."""
+"""Events at the start of the history: as many as the publisher keeps."""
 
 
 class VehicleService:
@@ -80,8 +81,8 @@ class VehicleService:
         self._election: Election | None = None
         self._others: AlarmSubscriber | None = None
         self._root = vehicle_root(config.prefix, monitor.name)
-        # All of the monotonic clock. What all do as often each vehicle does at a moment of its own, by its name:
-        # at once they would keep the loop, and by their threads Python's lock, from alarms.
+        # All times are those of the monotonic clock. Periodic work of each vehicle is due at a moment of its own, by
+        # its name: done at once for all it would keep the loop, and by their threads Python's lock, from alarms.
         self._decided_ns = time.monotonic_ns()
         self._status_ns = self._flushed_ns = self._decided_ns - zlib.crc32(monitor.name.encode()) % STATUS_NS
         now_ns = time.time_ns()
@@ -104,7 +105,7 @@ class VehicleService:
     def work(self, steady_ns: int, now_ns: int, troubles: Sequence[str]) -> None:
         """Do what is due: activate or deactivate, answer operators, flush, publish the status.
 
-        What is due goes by the steady time (the monotonic clock's), stamps by Unix time.
+        Due times are steady times (the monotonic clock's), stamps are Unix times.
         """
         self._decide(steady_ns, now_ns)
         if self.archive is not None:
@@ -120,7 +121,7 @@ class VehicleService:
             self.last_status = self.monitor.status(now_ns, [*troubles, *([trouble] if trouble else [])], self._links())
 
     def health(self) -> VehicleHealth:
-        """Return how the vehicle is doing."""
+        """Return the vehicle's health."""
         recorder = None if self.archive is None else self.archive.statistics()
         return self.monitor.health(self.last_status.get("state", "starting"), recorder, time.time_ns())
 
@@ -157,7 +158,7 @@ class VehicleService:
             logging.getLogger(__name__).warning("active for %s from now on", self.monitor.name)
             self._activate(now_ns)
             self._election.term = term_of(self.monitor.pipeline.desk.seq)
-            # A status at once shows the new active monitor.
+            # An immediate status shows the new active monitor.
             self._status_ns = steady_ns - STATUS_NS
         elif not leads and self.monitor.active:
             logging.getLogger(__name__).warning("another monitor is active for %s; on standby", self.monitor.name)
@@ -194,8 +195,8 @@ _Remembered = tuple[Sequence[AlarmEvent], int, Mapping[str, int]]
 def _remembered(journal: BackgroundJournal | None, vehicle: str) -> _Remembered:
     """Return the active alarms of the journal, the number of its last event, the shelved channels.
 
-    Where it cannot be read, or the disk does not answer in time, there are none: the new term of numbers is above all
-    that were used before.
+    If it cannot be read, or the disk does not answer in time, there are none: the new term of numbers is above all that
+    were used before.
     """
     if journal is None:
         return (), 0, {}

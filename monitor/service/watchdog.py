@@ -1,4 +1,4 @@
-"""Ends a process whose main loop stands still, so that the service manager starts another one."""
+"""End a process whose main loop is blocked, so that the service manager starts another one."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import threading
 from collections.abc import Callable
 
 _TICK_S = 1.0
-"""Chosen: ten of them are counted exactly enough, and waking once a second costs nothing."""
+"""Length of a tick. Chosen: ten of them are counted accurately enough, and waking once a second costs nothing."""
 LIMIT = 10
 """Ticks in which the loop finished its turn for no vehicle. Chosen: as long as the unit's own watchdog waits, twice as
 long as ``/healthz`` does; one vehicle's part of a turn takes no hundredth of it."""
 _SAY_S = 1.0
-"""For the tracebacks: standard error may be a pipe that nobody reads."""
+"""Time for writing the tracebacks: standard error may be a pipe that nobody reads."""
 
 
 def _end() -> None:
@@ -22,10 +22,9 @@ def _end() -> None:
 
 
 class Watchdog:
-    """Watches one loop from a thread; ``end`` is called where it was not fed for so many ticks.
+    """Watches one loop from a thread; ``end`` is called after ``LIMIT`` ticks without a call of :meth:`feed`.
 
-    Time is counted in ticks of the thread: where the whole process was stopped, or the machine slept, nothing was
-    missed.
+    Time is counted in ticks of the thread: if the whole process was stopped, or the machine slept, nothing was missed.
     """
 
     def __init__(self, end: Callable[[], None] = _end, tick_s: float = _TICK_S) -> None:
@@ -37,7 +36,7 @@ class Watchdog:
         self._thread.start()
 
     def feed(self) -> None:
-        """Say that the loop came round."""
+        """Report that the loop has finished a turn."""
         self._fed = True
 
     def close(self) -> None:
@@ -50,7 +49,7 @@ class Watchdog:
             missed = 0 if self._fed else missed + 1
             self._fed = False
             if missed >= LIMIT:
-                # the log shall say where the loop hangs
+                # the log has to show where the loop is blocked
                 say = threading.Thread(target=_say, daemon=True)
                 say.start()
                 say.join(_SAY_S)
