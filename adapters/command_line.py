@@ -92,10 +92,7 @@ def host_port(name: str, address: str, example: str) -> tuple[str, int]:
 
 
 def listening(name: str, address: str, example: str) -> socket.socket:
-    """Return a TCP socket that listens on HOST:PORT.
-
-    Raise a UsageError if that is not possible, see :func:`host_port`.
-    """
+    """Return a TCP socket that listens on HOST:PORT; raise a UsageError if it cannot, see :func:`host_port`."""
     where = host_port(name, address, example)
     try:
         return socket.create_server(where, family=socket.AF_INET6 if ":" in where[0] else socket.AF_INET)

@@ -148,10 +148,7 @@ def _fields(kind: str, text: str) -> Iterator[MessageField]:
 
 
 def _is_constant(words: Sequence[str]) -> bool:
-    """Return whether a line is ``type NAME = value``, with or without blanks around the sign.
-
-    A default has no sign before it.
-    """
+    """Return whether a line is ``type NAME = value``, with or without blanks; a default has no sign before it."""
     return len(words) > 1 and ("=" in words[1] or (words[-1].startswith("=") and len(words) == 3))
 
 

@@ -158,10 +158,7 @@ class _Telemetry:
             self._open = LogMapping({key: tried for key, tried in self._open.rules.items() if key != name})
 
     def _moving(self, rule: MessageRule) -> MessageRule:
-        """Return the rule for the instance of its topic that moves.
-
-        The first one if as many elements move in others.
-        """
+        """Return the rule for the instance of its topic that moves most; the first one if several do."""
         there = [topic for topic in rule.instances if topic in self._examples or self._begun]
         if rule.moves is None or len(there) < 2:
             return rule
@@ -675,10 +672,7 @@ def _between(field: FieldRule, rows: _Series, left: Integers, right: Integers, t
 
 
 def _carried(field: FieldRule, values: Floats) -> NDArray[Any]:
-    """Return numbers in the type of the message, whole numbers to the nearest.
-
-    Unknown for a number that does not fit.
-    """
+    """Return numbers in the type of the message, rounded for whole numbers; one that does not fit is unknown."""
     code = field.code
     dtype = np.dtype(f"<{code}")
     if code in "fd":

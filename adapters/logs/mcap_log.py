@@ -288,10 +288,7 @@ class MessageLogWriter:
         self._definitions += self._schemas + self._channels
 
     def close(self) -> None:
-        """Write the remaining messages and the summary, after a failure only the summary of the file.
-
-        Then refuse writes.
-        """
+        """Write the remaining messages (not after a failure) and the summary; then refuse writes."""
         if self._closed:
             return
         self._closed = True

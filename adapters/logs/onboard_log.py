@@ -153,10 +153,7 @@ class LogClock:
         return stamps_ns
 
     def received_ns(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the times of arrival of n records in order (n,).
-
-        A record without a stamp has that of the previous one.
-        """
+        """Return the times of arrival of n records in order (n,); without a stamp, that of the previous record."""
         known = np.concatenate([[self.newest_ns], stamps_ns])
         last = np.maximum.accumulate(np.where(known != NO_TIME, np.arange(len(known)), 0))
         filled = known[last]

@@ -192,10 +192,7 @@ class SignatureVerifier:
         return {"/".join(map(str, name)): stream.newest for name, stream in self._streams.items()}
 
     def restore(self, stamps: object, now_ns: int) -> None:
-        """Continue from an earlier run's :meth:`stamps`, at Unix time ``now_ns``.
-
-        Raise ValueError if they are invalid.
-        """
+        """Continue from an earlier run's :meth:`stamps` at Unix time ``now_ns``; raise ValueError for invalid ones."""
         if not isinstance(stamps, dict):
             raise ValueError("no table of time stamps")
         streams: OrderedDict[tuple[int, int, int], _Stream] = OrderedDict()

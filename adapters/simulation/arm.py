@@ -248,10 +248,7 @@ def _integrate(
 
 
 def _accelerations(x_1: float, x_2: float, x_3: float, torque: float, w_1: float) -> tuple[float, float]:
-    """Return the derivatives of x_2 and x_4 in A x + B (u + f_a) + G sin(x_3) + E_1 w_1.
-
-    Those of x_1 and x_3 are states.
-    """
+    """Return the derivatives of x_2 and x_4 in A x + B (u + f_a) + G sin(x_3) + E_1 w_1; the others are states."""
     twist = x_1 - x_3
     motor = -_STIFF_MOTOR * twist - _DAMPING * x_2 + _TORQUE * torque
     return motor, _STIFF_LINK * twist - _GRAVITY * math.sin(x_3) + w_1
