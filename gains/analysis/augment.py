@@ -23,15 +23,15 @@ For actuator faults that ramp, integrators of order 2 estimate their rate r = (f
 
 so that A_a has [I, T I; 0, I] for its last I, and r+ - r takes the place of df_a.
 
-With the slopes anywhere between their bounds, what holds Delta in A_a is that of their mean plus Gs diag(delta) Hs with
-|delta_i| <= 1: a column of Gs and a row of Hs for each slope that varies.
+With the slopes anywhere between their bounds, the part of A_a with Delta is that of their mean plus Gs diag(delta) Hs
+with |delta_i| <= 1: a column of Gs and a row of Hs for each slope that varies.
 
-A noise that passes through F counts twice in [w; w+]. Where F moves f_s^ alone, f_s^ = D_f^+ (y - C x^), it need not
+A noise that passes through F counts twice in [w; w+]. If F moves f_s^ alone, f_s^ = D_f^+ (y - C x^), it can count once
 (``noise_once``): xi = [zeta~ + F D w; z] is moved by w alone,
 
     xi+ = (as above) xi + ( [L1 E, 0; L_q E, I] - [Kb; L_ib] [D - Cb F D, 0] ) [w; df_a],   zeta~ = xi_zeta - F D w
 
-for neither A_a nor the slopes look at f_s.
+because neither A_a nor the slopes depend on f_s.
 
 Each w is divided by its scale, df_a (or r+ - r) by rate / rate_hz, and each error by the size that matters.
 """
@@ -95,12 +95,12 @@ class ErrorModel:
     # Gs (na, k) and Hs (k, na) of the k slopes that vary
     G: FloatArray
     H: FloatArray
-    # (na, nw), (p, na) and (p, nw); columns of B and D: [w; w+; df_a], each in units of its scale, or [w; df_a] where
+    # (na, nw), (p, na) and (p, nw); columns of B and D: [w; w+; df_a], each in units of its scale, or [w; df_a] if
     # noise counts once
     B: FloatArray
     C: FloatArray
     D: FloatArray
-    direct: FloatArray  # what w makes of zeta~ beside the states (nz, nw): -F D where noise counts once, else zero
+    direct: FloatArray  # direct path from w to zeta~ (nz, nw): -F D if noise counts once, otherwise zero
     into: FloatArray  # [L1; L_q] E_f (na, a1)
     weights: FloatArray  # one over the error that matters, for each entry of e (nz + a1,)
     a1: int  # number of actuator faults: the last entries of e, and their errors after zeta~ in [zeta~; z]
@@ -108,7 +108,7 @@ class ErrorModel:
 
     @property
     def sizes(self) -> FloatArray:
-        """Size of each entry of [zeta~; z]: the error that matters, for the rate of a fault that of it a second."""
+        """Size of each entry of [zeta~; z]: the error that matters, for the rate of a fault that error per second."""
         errors = 1.0 / self.weights
         return np.concatenate([errors, errors[len(errors) - self.a1 :]])[: len(self.B)]
 
@@ -139,12 +139,12 @@ class FreeRows:
 
 
 def augment(plant: Plant, integrator_order: int = 1, *, noise_once: bool = False) -> Augmentation:
-    """Return A_z, Cb and the pseudo-inverse as a left inverse, with what is free in it, of a plant.
+    """Return A_z, Cb and the pseudo-inverse of a plant as a left inverse, with its free part.
 
-    [L1 F] is the pseudo-inverse of [T; Cb] with each row in units of the error that matters there, for a state
-    its own and for an output the largest that a state's error makes: the result follows a change of units. Where
-    all of those are one it is the plain pseudo-inverse of docs/theory.md. For a bound against [w; df_a]
-    (``noise_once``) F moves f_s^ alone.
+    [L1 F] is the pseudo-inverse of [T; Cb] with each row in units of the error that matters there, for a state its own
+    and for an output the largest that a state's error causes: a change of units does not change the observer. If all of
+    those are one, it is the plain pseudo-inverse of docs/theory.md. For a bound against [w; df_a] (``noise_once``) F
+    moves f_s^ alone.
 
     Raises
     ------
@@ -185,21 +185,21 @@ def error_model(
 ) -> ErrorModel:
     """Return the error system of a plant at every slope vertex, or at the sample of them of :func:`sampled_vertices`.
 
-    In continuous time ' stands for + and f_a' for df_a, and z does not keep its value by itself: the identity in A_a
+    In continuous time ' stands for + and f_a' for df_a, and z has no identity in its dynamics: the identity in A_a
     becomes zero, and f_a' is divided by the fault's rate alone. Integrators have order 1, or in discrete time 2.
 
     Raises
     ------
     ModelError
-        Noise is to count once, but F moves more than f_s^.
+        Noise shall count once, but F moves more than f_s^.
     InfeasibleError
-        More slopes vary than vertices can be enumerated for, and a sample will not do.
+        Too many slopes vary to enumerate the vertices, and a sample is not allowed.
     """
     nz, n = augmentation.L1.shape
     a1, p = len(plant.actuator_faults), len(plant.outputs)
     na = nz + a1 * integrator_order
     q = len(plant.disturbances) + len(plant.noises)
-    # how [x^; q^] moves x and the arguments of g
+    # effect of [x^; q^] on x and on the arguments of g
     moves, arguments = np.zeros((n, na)), np.zeros((len(plant.H), na))
     moves[:, : nz + a1] = np.hstack([augmentation.A_z, plant.E_f])
     arguments[:, :n], arguments[:, nz : nz + a1] = plant.H, plant.H_f
@@ -212,10 +212,10 @@ def error_model(
     still = np.zeros((na, na))
     if plant.rate_hz is not None:
         still[nz:, nz:] = integrators(a1, integrator_order, plant.rate_hz)
-    # each column in units of what drives it
+    # each column in units of its signal
     steps = np.zeros((na, a1))
     steps[na - a1 :] = np.diag([fault.rate / (plant.rate_hz or 1.0) for fault in plant.actuator_faults])
-    # without slopes that are constant or do not reach the states
+    # without slopes that are constant or have no effect on the states
     varying = (half > 0.0) & np.any(into, axis=0) & np.any(arguments, axis=1)
     W1, W2 = augmentation.W1, augmentation.W2
     C_a = np.hstack([augmentation.C_b, np.zeros((p, na - nz))])
@@ -252,7 +252,7 @@ def error_model(
 
 
 def integrators(a1: int, order: int, rate_hz: float) -> FloatArray:
-    """Return I (order 1) or [I, T I; 0, I] (order 2) with blocks (a1, a1): how q and z go on by themselves."""
+    """Return I (order 1) or [I, T I; 0, I] (order 2) with blocks (a1, a1): the dynamics of q and z without inputs."""
     chain = np.array([[1.0, 1.0 / rate_hz], [0.0, 1.0]])[:order, :order]
     return np.kron(chain, np.eye(a1))
 

@@ -188,11 +188,11 @@ precision times the condition of a scaled system)."""
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """A smallest set of faults that cannot be estimated together, and what mends it.
+    """A smallest set of faults that cannot be estimated together, and what would help.
 
-    Mended it is by an additional, unattacked sensor of any of the states ``sensors``, or by a leak of 1/LEAK_S per
-    second on the states ``leak``; either may be empty. ``shown_elsewhere``: an output without these faults shows one of
-    the states that move.
+    It would help to add an unattacked sensor of any of the states ``sensors``, or a leak of 1/LEAK_S per second on the
+    states ``leak``; either may be empty. ``shown_elsewhere``: an output without these faults shows one of the states
+    that move.
     """
 
     problem: Problem
@@ -203,7 +203,7 @@ class Explanation:
 
 @dataclass(frozen=True, slots=True)
 class FaultPair:
-    """Two faults that cannot be told apart: at any frequency (strong) or when they are constant only (weak)."""
+    """Two faults that cannot be distinguished: at any frequency (strong) or only if they are constant (weak)."""
 
     faults: tuple[str, str]
     strength: Literal["strong", "weak"]
@@ -215,14 +215,14 @@ class Check:
 
     plant: Plant  # the plant that was checked
     estimability: Estimability  # the largest sets of faults that can be estimated together and the smallest that cannot
-    explanations: tuple[Explanation, ...]  # those problems with what mends them, at most the first 20
+    explanations: tuple[Explanation, ...]  # those problems with what would help, at most the first 20
     sensors: tuple[str, ...]  # states of which one additional sensor would make all faults estimable together
     pairs: tuple[FaultPair, ...]  # pairs that cannot be told apart
-    # actuator faults that, in some set, are not seen in the first sample after they act (Cb L1 E_f lacks rank)
+    # actuator faults that, in some set, have no effect on the first sample after they act (Cb L1 E_f lacks rank)
     late: tuple[str, ...]
     zeros: tuple[Zero, ...]  # invariant zeros
-    # effect of each fault on each output: a constant fault shifts it (steady), moves it without end (ramp) or does not
-    # show in it although a change does (change)
+    # effect of each fault on each output: a constant fault shifts it (steady), moves it without end (ramp) or has no
+    # effect although a change has one (change)
     structure: dict[str, dict[str, Effect]]
 
     @property
@@ -232,7 +232,7 @@ class Check:
 
 
 def check_plant(plant: Plant, rate_hz: float | None = None) -> Check:
-    """Look at a plant, a continuous one as it is or sampled at a rate; its faults may depend on each other.
+    """Check a plant, a continuous one as it is or sampled at a rate; its faults may depend on each other.
 
     Raises
     ------
@@ -355,7 +355,7 @@ def _mending_sensors(plant: Plant, faults: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _with_sensor(plant: Plant, state: str) -> Plant:
-    """Return the plant with one more output, which shows a state and which no fault enters."""
+    """Return the plant with one more output, which measures a state and has no fault."""
     name = next(f"added{i}" for i in itertools.count() if f"added{i}" not in plant.outputs)
     row = np.array([[float(other == state) for other in plant.states]])
     return replace(
@@ -376,7 +376,7 @@ def _with_leak(plant: Plant, states: tuple[str, ...]) -> Plant:
 
 
 def _pairs(plant: Plant) -> Iterator[FaultPair]:
-    """Yield pairs that cannot be told apart although each of the two can be estimated, or that never can."""
+    """Yield pairs that cannot be distinguished at all, or although each of the two can be estimated."""
     A = sloped_dynamics(plant)[0][0]
     alone = {fault.name: problem_of(plant, (fault.name,)) is None for fault in plant.faults}
     for first, second in itertools.combinations(alone, 2):
@@ -390,7 +390,7 @@ def _pairs(plant: Plant) -> Iterator[FaultPair]:
 
 
 def _effect(gains: FloatArray, reach: FloatArray) -> Effect:
-    """Return the effect from the gains at two low and two higher frequencies, and how large they could be."""
+    """Return the effect from the gains at two low and two higher frequencies, and from their largest possible size."""
     shows = gains > _EFFECT_TOLERANCE * reach
     if not np.any(shows[2:]):
         return "none"

@@ -8,11 +8,11 @@ A set S of faults can be estimated when, at every slope vertex and at their mean
     condition II            no constant faults S with states that stand still and outputs that are zero: the matrix
                             [L1 A_z - I, L1 E_f; Cb, 0] (continuous: no I) has full column rank
 
-An error system can be made stable exactly when its modes that no output shows decay by themselves. A hidden mode
-without faults is a mistake of the model. With Pi a basis of the outputs that the sensor faults leave alone (Pi D_f = 0)
-the third says that (A, Pi C) has no hidden mode that stays, and the fourth that ([A, E_f; 0, I], [Pi C, 0]) has none
-(continuous: 0 for I). What can be estimated can be estimated in part: sets are built up one fault at a time, and a set
-all of whose parts are estimable while it is not is a smallest reason.
+An error system can be made stable exactly if its unobservable modes decay by themselves. A hidden mode without faults
+is a mistake of the model. With Pi a basis of the combinations of outputs without sensor faults (Pi D_f = 0) the third
+means that (A, Pi C) has no hidden mode that stays, and the fourth that ([A, E_f; 0, I], [Pi C, 0]) has none
+(continuous: 0 for I). Every part of an estimable set is estimable, too: sets are built up one fault at a time, and a
+set that is not estimable while all its parts are is a smallest reason.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Estimability:
-    """What can be estimated."""
+    """The sets of faults that can be estimated."""
 
     # the largest sets of faults that can be estimated together, each in the order of the model
     sets: tuple[tuple[str, ...], ...]
@@ -79,7 +79,7 @@ def restricted(plant: Plant, faults: Iterable[str]) -> Plant:
 
 
 def estimability(plant: Plant) -> Estimability:
-    """Return which of the declared faults can be estimated together, and why not all of them.
+    """Return which of the declared faults can be estimated together, and why not all.
 
     Raises
     ------
@@ -140,9 +140,9 @@ def _smallest_problem(plant: Plant, faults: tuple[str, ...]) -> Problem:
 
 
 def problem_of(plant: Plant, faults: Iterable[str]) -> Problem | None:
-    """Return why these faults cannot be estimated together, None where they can.
+    """Return why these faults cannot be estimated together, or None if they can.
 
-    The problem names all of them; of a set that is not a smallest one it gives the first reason found.
+    The problem names all of them; if the set is not a smallest one, it gives the first reason found.
     """
     part = restricted(plant, faults)
     names = tuple(fault.name for fault in part.faults)
@@ -178,7 +178,7 @@ def check_existence(plant: Plant, *, sampled: bool = False) -> tuple[str, ...]:
         The plant itself has a mode that does not decay and that no output shows, it has no faults, or directions of
         its faults depend on each other.
     InfeasibleError
-        A condition fails; the message names it and the signals that cannot be told apart. Or too many slopes vary.
+        A condition fails; the message names it and the signals that cannot be distinguished. Or too many slopes vary.
     """
     faults = len(plant.faults)
     if not faults:
@@ -211,7 +211,7 @@ def check_existence(plant: Plant, *, sampled: bool = False) -> tuple[str, ...]:
 def _moving(plant: Plant, mode: HiddenMode, faulty: bool) -> str:
     """Return the signals that take part in a mode, the faults before the states, each group the largest first.
 
-    What the states move in the outputs the sensor faults cancel: D_f f_s = -C x.
+    The sensor faults cancel the effect of the states on the outputs: D_f f_s = -C x.
     """
     x, f_a = np.split(mode.motion, [len(plant.states)])
     moving = _largest(plant.states, np.abs(x) / plant.state_errors)
@@ -247,7 +247,7 @@ def continuous_mode(eigenvalue: complex, plant: Plant) -> complex:
 
 
 def conditions(plant: Plant, A: FloatArray) -> Iterator[tuple[Condition, list[HiddenMode]]]:
-    """Yield the hidden modes that each existence condition is about, at given slopes: of x, or of [x; f_a]."""
+    """Yield the hidden modes that each existence condition forbids, at given slopes: of x, or of [x; f_a]."""
     n, a1, a2 = len(plant.states), len(plant.actuator_faults), len(plant.sensor_faults)
     scales = signal_scales(plant)
     yield "hidden mode", hidden_modes(A, plant.C, scales[:n], plant.domain)
@@ -264,7 +264,7 @@ def conditions(plant: Plant, A: FloatArray) -> Iterator[tuple[Condition, list[Hi
 def unattacked_outputs(plant: Plant) -> FloatArray:
     """Return Pi C: combinations of outputs, each in units of its own row, that no sensor fault enters.
 
-    A combination that shows next to nothing of the states shows rounding errors, and becomes zero.
+    A combination on which the states have almost no effect has rounding errors only, and becomes zero.
     """
     states = signal_scales(plant)[: len(plant.states)]
     rows = row_norms(plant.C * states)
@@ -313,7 +313,7 @@ def fault_pencil(plant: Plant, A: FloatArray) -> tuple[FloatArray, float, FloatA
 
 
 def smallest_singular_value(pencil: FloatArray, n: int, s: complex) -> tuple[float, FloatArray]:
-    """Return how far a pencil is from losing rank at s, with its rows and columns brought to one size, and where to."""
+    """Return how far a pencil is from losing rank at s, with rows and columns scaled to one size, and the direction."""
     shifted = pencil.astype(np.complex128)
     shifted[range(n), range(n)] -= s
     shifted = shifted / row_norms(np.abs(shifted))[:, None]

@@ -5,14 +5,14 @@ At a frequency s = j omega the signals in the null space of
     [ A + G Delta H - s I   0     E_f   E_1   0   ]
     [ C                     D_f   0     0     D_1 ]        unknowns [x; f_s; f_a; w_1; w_2]
 
-leave the outputs at zero, and so do the same signals with the opposite sign. An observer answers both with
-the same estimate, so that for one of the two its error is at least [x; f_s; f_a], be it linear or not,
-causal or not. The largest |e-weighted [x; f_s; f_a]| over |scaled [w; s w; s f_a]| (discrete: z = exp(j omega),
-[w; z w; (z - 1) f_a]) in that null space is therefore a floor of sqrt(mu); where noise counts once, without s w.
+leave the outputs at zero, and so do the same signals with the opposite sign. An observer answers both with the same
+estimate, so that for one of the two its error is at least [x; f_s; f_a]. This holds for every observer, linear or not,
+causal or not. The largest |e-weighted [x; f_s; f_a]| over |scaled [w; s w; s f_a]| (discrete: z = exp(j omega), [w; z
+w; (z - 1) f_a]) in that null space is therefore a floor of sqrt(mu); if noise counts once, without s w.
 
-A certified sqrt(mu) holds for every g within its slopes, hence for the linear g of any constant slopes Delta
-there, even if the observer knew them: the largest floor over some constant slopes is a floor of every
-certificate. For the model's own g alone it is one where g attains these slopes, in small motions around there.
+A certified sqrt(mu) holds for every g within its slopes, hence for the linear g of any constant slopes Delta there,
+even if the observer knew them: the largest floor over some constant slopes is a floor of every certificate. For the
+model's own g alone it is a floor if g attains these slopes, in small motions around that point.
 """
 
 from __future__ import annotations
@@ -32,18 +32,17 @@ from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
 
 _GRID = 160
-"""Twenty points in each decade. The best is refined; a floor that is missed between two points makes the answer
-smaller, never wrong.
-"""
+"""Number of grid points: twenty in each decade. The best is refined; a floor that is missed between two points makes
+the answer smaller, never wrong."""
 _DECADES = 8.0
 """Decades of the grid below the fastest pole, or half the rate: the slowest modes of plants monitored at 100 Hz take
 hours at the most."""
 _REFINEMENTS, _BETWEEN = 9, 15
-"""Finer grids around the best, and their points: each looks at 2/16 of the one before, the last at 7e-9 of a step."""
+"""Number of finer grids around the best, and of their points: each covers 2/16 of the one before, the last 7e-9 of a
+step."""
 _RANK_TOLERANCE = 1e-11
-"""Singular value in units of the signals. Measured on the plants of the tests: kernels show 2e-16 at most, all else
-3e-6 and more.
-"""
+"""Singular value below which a direction is in the kernel, in units of the signals. Measured on the plants of the
+tests: kernels have 2e-16 at most, all others 3e-6 and more."""
 _TIE = 1e-9
 """Relative gain below which a floor counts as unchanged: rounding moves the frequency of a flat floor about."""
 
@@ -52,7 +51,7 @@ _TIE = 1e-9
 class Floor:
     """No observer has a smaller certified sqrt(mu) than ``value``; where it is, radians per second and constant slopes.
 
-    It is zero where nothing hides, infinite where the faults cannot be estimated at all.
+    It is zero if nothing is hidden, infinite if the faults cannot be estimated at all.
     """
 
     value: float
@@ -65,9 +64,9 @@ def floor_sqrt_mu(
 ) -> Floor:
     """Return the floor of sqrt(mu) over frequency and over the mean of the slopes and their vertices.
 
-    Every number it looks at is a floor, so leaving out frequencies or vertices (a sample of them will do) makes
-    it smaller but never wrong. A continuous model is looked at as it is or sampled at a rate. With integrators of order
-    2 the rate of an actuator fault bounds f_a'' in place of f_a': s^2 f_a stands for s f_a.
+    Every value in this search is a floor, so leaving out frequencies or vertices (a sample of them is enough) makes the
+    result smaller but never wrong. A continuous model is taken as it is or sampled at a rate. With integrators of order
+    2 the rate of an actuator fault bounds f_a'' instead of f_a': s^2 f_a replaces s f_a.
 
     Raises
     ------
@@ -87,7 +86,7 @@ def floor_sqrt_mu(
 
 
 def _highest(plant: Plant, A: FloatArray, floors_at: Callable[[FloatArray], FloatArray]) -> tuple[float, float]:
-    """Return the floor at the highest point of a frequency grid, refined until floors around it are alike."""
+    """Return the floor at the highest point of a frequency grid, refined until the floors around it are equal."""
     if plant.rate_hz is not None:
         grid = math.pi * plant.rate_hz * np.geomspace(10.0**-_DECADES, 1.0, _GRID)
     else:
@@ -123,7 +122,7 @@ def _floors(
     constant[:n, :n], constant[n:, :n] = step_matrix(A, plant.domain), plant.C
     constant[n:, n : n + a2], constant[:n, n + a2 : n + a] = plant.D_f, E_f
     constant[:n, n + a :], constant[n:, n + a :] = plant.E, plant.D
-    # exp(j omega h) - 1 without the cancellation that would cost the low frequencies their digits
+    # exp(j omega h) - 1 without the cancellation that would lose the digits at low frequencies
     turn = 1j * omega if plant.rate_hz is None else np.expm1(1j * omega / plant.rate_hz)
     shift = 1j * omega if plant.rate_hz is None else 1.0 + turn
     rate = np.array([fault.rate / (plant.rate_hz or 1.0) ** order for fault in plant.actuator_faults])
@@ -145,7 +144,7 @@ def _floors(
 
 
 def _largest_ratios(effects: FloatArray, causes: FloatArray) -> FloatArray:
-    """Return the largest |effect c| / |cause c| of each pair (N,); infinite where a cause of nothing has an effect."""
+    """Return the largest |effect c| / |cause c| of each pair (N,); infinite if a cause of size zero has an effect."""
     scale = 1.0 / row_norms(np.swapaxes(np.concatenate([effects, causes], axis=1), 1, 2))[:, None]
     effects, causes = effects * scale, causes * scale
     ratios = np.zeros(len(effects))

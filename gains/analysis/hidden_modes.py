@@ -1,4 +1,4 @@
-"""Modes that no output shows, found without regard to units."""
+"""Unobservable modes, found independently of units."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ less than a twentieth tells a reader nothing."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HiddenMode:
-    """An eigenvalue (z in discrete time, else s) that no output shows, and how each signal moves in it.
+    """The eigenvalue (z in discrete time, otherwise s) of an unobservable mode, and how each signal moves in it.
 
     ``decay`` is 1 - |z|, or -Re s over the size of A.
     """
@@ -93,7 +93,7 @@ def signal_scales(plant: Plant) -> FloatArray:
 
 
 def step_matrix(A: FloatArray, domain: Domain) -> FloatArray:
-    """Return what A adds to a state: A - I in discrete time, A itself in continuous time."""
+    """Return the change that A gives a state: A - I in discrete time, A itself in continuous time."""
     return A - np.eye(len(A)) if domain == "discrete" else A
 
 

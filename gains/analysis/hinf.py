@@ -1,4 +1,4 @@
-"""H-infinity norm of a linear system by level sets: exact to rounding, with an interval that says so.
+"""H-infinity norm of a linear system by level sets: exact to rounding, with an interval that proves it.
 
 Some singular value of G(lambda) = C (lambda I - A)^-1 B + D equals gamma where, with Gamma = gamma I,
 
@@ -7,15 +7,15 @@ Some singular value of G(lambda) = C (lambda I - A)^-1 B + D equals gamma where,
     [ C              0                 D       -Gamma ]            [ C         0             D       -Gamma ]
     [ 0              B^T              -Gamma    D^T   ]            [ 0         z B^T        -Gamma    D^T   ]
 
-lose rank (continuous, lambda = j omega; discrete, z = exp(j omega)): the Hamiltonian and the symplectic pencil
-without any inverse, so that neither a singular A nor a gamma near a singular value of D does harm. The last
-columns are taken out by an orthogonal transformation; what remains has twice the order of A.
+lose rank (continuous, lambda = j omega; discrete, z = exp(j omega)): the Hamiltonian and the symplectic pencil without
+any inverse, so that neither a singular A nor a gamma near a singular value of D does harm. An orthogonal transformation
+eliminates the last columns; the remaining pencil has twice the order of A.
 
-Boyd and Balakrishnan, Bruinsma and Steinbuch: from a gain that is attained somewhere, raise gamma a little; if
-the level is crossed, the highest gain between the crossings is the next one (quadratic convergence), else gamma is
-an upper bound. Which computed eigenvalue lies on the axis is never decided: the gain is evaluated at the
-frequencies of all of them and between neighbours. An interval above the level has its ends among them, so it
-contains one of these points.
+Boyd and Balakrishnan, Bruinsma and Steinbuch: from a gain that is attained somewhere, raise gamma a little; if the
+level is crossed, the highest gain between the crossings is the next one (quadratic convergence), otherwise gamma is an
+upper bound. Which computed eigenvalue lies on the axis is never decided: the gain is evaluated at the frequencies of
+all of them and between neighbours. An interval above the level has its ends among them, so it contains one of these
+points.
 """
 
 from __future__ import annotations
@@ -28,23 +28,21 @@ import numpy as np
 from gains.plants.plant import FloatArray
 
 _GAP = 1e-9
-"""Relative width of the interval. A level has to be raised by more than rounding hides at the crossings; nine digits
-are more than users read.
-"""
+"""Relative width of the interval. Each level has to be raised by more than rounding at the crossings; nine digits are
+more than users read."""
 _STEPS = 100
-"""Convergence is quadratic: measured on 200 random systems with poles up to 1e-7 from the circle, one to three steps.
-The rest is for systems at the edge of stability, for which the gap widens.
-"""
+"""Largest number of steps. Convergence is quadratic: measured on 200 random systems with poles up to 1e-7 from the
+circle, one to three steps. The rest is for systems at the edge of stability, for which the gap widens."""
 _WIDEN_AFTER = 20
 """Number of steps after which rounding decides: each further step widens the gap tenfold."""
 
 
 @dataclass(frozen=True, slots=True)
 class HinfNorm:
-    """The norm lies in [lower, upper]: a gain that the system has at ``omega``, and a level that it does not cross.
+    """The norm lies in [lower, upper]: the gain of the system at ``omega``, and a level that its gain does not cross.
 
-    Both are infinite for a system that is not stable. ``omega`` is in radians per second and may be infinite, in
-    discrete time in radians per sample, in [0, pi].
+    Both are infinite for an unstable system. ``omega`` is in radians per second and may be infinite, in discrete time
+    in radians per sample, in [0, pi].
     """
 
     lower: float

@@ -1,8 +1,8 @@
 """Invariant zeros of a plant with its faults: motions of states and faults that leave every output at zero.
 
-The zeros of (A, 0; C, D_f) are modes of the error that no gain moves: with Re s < 0 the estimates settle at that
-pace at best. The zeros of the whole, [A - sI, 0, E_f; C, D_f, 0], are motions of the faults that stay unseen at
-that s alone; at 0 they forbid an observer, elsewhere they limit how well fast faults are followed.
+The zeros of (A, 0; C, D_f) are modes of the error that no gain moves: with Re s < 0 the estimates settle at that rate
+at best. The zeros of the whole, [A - sI, 0, E_f; C, D_f, 0], are motions of the faults that are hidden at that s alone;
+at 0 no observer exists, elsewhere they limit how well an observer follows fast faults.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ whole pencil have 1e-15 at most, those of its random square part alone 1.5e-3 an
 class Zero:
     """An invariant zero, rad/s, and the faults and states that move in it, the largest first.
 
-    Of a conjugate pair it is the one above the real axis. It is that of the ``"sensor faults"``, the actuator faults
-    held at zero, or of ``"all faults"``.
+    Of a conjugate pair it is the one above the real axis. It is a zero of the ``"sensor faults"``, with the actuator
+    faults held at zero, or of ``"all faults"``.
     """
 
     s: complex
@@ -49,7 +49,7 @@ class Zero:
 def invariant_zeros(plant: Plant) -> tuple[Zero, ...]:
     """Return the zeros with the sensor faults and those with all faults, at the mean slopes.
 
-    The latter only where the faults can be told apart at all, or every s would be a zero.
+    The latter only if the faults can be distinguished at all: otherwise every s is a zero.
     """
     A = sloped_dynamics(plant)[0][0]
     zeros = _sensor_zeros(plant, A) if plant.sensor_faults else []
@@ -78,7 +78,7 @@ def _sensor_zeros(plant: Plant, A: FloatArray) -> list[Zero]:
     zeros = []
     for mode in modes:
         if mode.eigenvalue.imag >= 0.0:
-            # The direction holds sizes only; which faults answer is read from each one's share of C x.
+            # The direction has sizes only; the share of each fault in C x shows which faults answer.
             sizes = np.abs(into) @ (np.abs(plant.C) @ mode.direction)
             faults = leading([fault.name for fault in plant.sensor_faults], sizes)
             zeros.append(

@@ -1,7 +1,8 @@
-"""From a fit to the plant an observer is designed for: delay, noise scales, and parameter uncertainty as disturbance.
+"""The plant of a fit for the design of an observer: delay, noise scales, and parameter uncertainty as disturbance.
 
 A parameter that is off by its standard error drives the states by dx+/dp sigma_p; the root mean square of that over the
-recordings, correlations of the estimates included, is added to the disturbance of each state (and likewise of outputs).
+recordings, including correlations of the estimates, is added to the disturbance of each state (and likewise of
+outputs).
 """
 
 from __future__ import annotations
@@ -16,17 +17,16 @@ from gains.plants.discretise import discretise
 from gains.plants.plant import Disturbance, FloatArray, Noise, Plant, Signal
 
 _STEP = 1e-4
-"""Relative: rounding (1e-16 / 1e-4) and curvature (1e-4) both leave the slopes four digits, of which a standard error
-needs one.
-"""
+"""Relative step of differences: with it rounding (1e-16 / 1e-4) and curvature (1e-4) leave four digits, and a standard
+error needs one."""
 
 
 def fitted_plant(fit: OutputErrorFit) -> Plant:
     """Return the fitted plant.
 
-    Scales that the model file states stay as they are; those it leaves out, and those of noises and disturbances it
-    does not declare, are the most likely ones. Each is then widened by the uncertainty of the parameters. With a delay
-    the plant is discrete at the rate of the recordings, the delay standing in its taps.
+    Scales that the model file states are kept; missing ones, and those of undeclared noises and disturbances, are the
+    most likely ones. Each is then enlarged by the uncertainty of the parameters. With a delay the plant is discrete at
+    the rate of the recordings, with the delay in its taps.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def fitted_plant(fit: OutputErrorFit) -> Plant:
 
 
 def parameter_uncertainty(fit: OutputErrorFit) -> tuple[FloatArray, FloatArray]:
-    """Return the typical error that the uncertainty of the parameters puts into x+ (n,) and into y (p,)."""
+    """Return the typical error of x+ (n,) and of y (p,) that the uncertainty of the parameters causes."""
     theta, data = fit.theta, fit.training
     finite = [j for j in range(len(theta)) if np.isfinite(fit.covariance[j, j])]
     n, p = data.states.shape[2], data.measured.shape[2]
@@ -80,7 +80,7 @@ def parameter_uncertainty(fit: OutputErrorFit) -> tuple[FloatArray, FloatArray]:
 
 
 def _widen(signals: list[Signal], kind: type[Signal], name: str, column: FloatArray, size: float) -> None:
-    """Add ``size`` in direction ``column``, in quadrature where one of the signals has that direction already."""
+    """Add ``size`` in direction ``column``, in quadrature if one of the signals already has that direction."""
     if size <= 0.0:
         return
     at = int(np.argmax(column))

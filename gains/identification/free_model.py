@@ -6,7 +6,7 @@
     [A]
     motor_rate = { motor_angle = "-stiffness", link_angle = "stiffness" }
 
-Text is read as an expression in A, B, C, offset, curves, in ``into`` and ``arguments``, and in ``scale``, ``rate`` and
+A text is an expression in A, B, C, offset, curves, in ``into`` and ``arguments``, and in ``scale``, ``rate`` and
 ``error``; a nonlinearity's own expression may name parameters beside its arguments. The tables ``channels`` (where
 inputs and outputs come from) and ``phase`` (when samples count) are kept as parsed for the reader of recordings.
 """
@@ -38,7 +38,7 @@ _WORD = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A free parameter: where its estimation starts and the bounds it keeps to, in its own unit."""
+    """A free parameter: the start value of its estimation and its bounds, in its own unit."""
 
     name: str
     start: float
@@ -47,7 +47,7 @@ class Parameter:
 
     @property
     def size(self) -> float:
-        """The parameter's order of magnitude."""
+        """Order of magnitude of the parameter."""
         width = self.high - self.low
         return abs(self.start) or (width / 10.0 if 0.0 < width < math.inf else 1.0)
 
@@ -58,7 +58,7 @@ class FreeModel:
 
     path: str  # the file, for errors
     document: Mapping[str, Any]  # its parsed TOML without the tables below
-    # the free parameters, in the order of the file: the values of all methods are in this order
+    # the free parameters in the order of the file, which is that of the values of all methods
     parameters: tuple[Parameter, ...]
     fixed: Mapping[str, float]  # the other parameters
     file: TomlFile  # the file, for its tables ``channels`` and ``phase``
@@ -75,12 +75,12 @@ class FreeModel:
         Raises
         ------
         ModelError
-            An expression has no value there, or the plant cannot be; the message names file and key.
+            An expression has no value there, or the plant is impossible; the message names file and key.
         """
         return read_plant(self._resolved(self._named(values)))
 
     def dynamics(self, values: Sequence[float] | FloatArray) -> Dynamics:
-        """Return what a simulation needs, without the slope bounds that make :meth:`plant` slow.
+        """Return the dynamics for a simulation, without the slope bounds that make :meth:`plant` slow.
 
         Raises
         ------
@@ -112,11 +112,11 @@ class FreeModel:
         return dynamics
 
     def words_of(self, term: int) -> frozenset[str]:
-        """Return the names that the expression of nonlinearity number ``term`` holds."""
+        """Return the names in the expression of nonlinearity number ``term``."""
         return frozenset(_WORD.findall(self.document["nonlinearity"][term]["expression"]))
 
     def declares_scale(self, kind: str, index: int) -> bool:
-        """Return whether entry ``index`` of 'disturbance' or 'noise' states its scale, or leaves it to a fit."""
+        """Return whether entry ``index`` of 'disturbance' or 'noise' states its scale; otherwise a fit estimates it."""
         return "scale" in self.document[kind][index]
 
     def _resolved(self, named: Mapping[str, float], keys: Collection[str] | None = None) -> TomlFile:
@@ -196,7 +196,7 @@ def _check_arguments(root: Table, names: Sequence[str]) -> None:
 def _resolved(document: Mapping[str, Any], named: Mapping[str, float], used: set[str] | None = None) -> dict[str, Any]:
     """Return a model's document with every expression of parameters replaced by its number.
 
-    ``used`` collects the names of the parameters met.
+    ``used`` collects the names of these parameters.
     """
     resolved = dict(document)
     number = _Resolver(named, set() if used is None else used)
@@ -228,14 +228,14 @@ def _resolved_term(table: Mapping[str, Any], number: _Resolver) -> dict[str, Any
 
 
 class _Resolver:
-    """Turns expressions of parameters into numbers and notes which parameters they name."""
+    """Turns expressions of parameters into numbers and records the names of the parameters."""
 
     def __init__(self, named: Mapping[str, float], used: set[str]) -> None:
         self._named = named
         self.used = used
 
     def __call__(self, value: Any) -> Any:
-        """Return the number of an expression; what is no text stays for others to check."""
+        """Return the number of an expression; a value that is no text is returned unchanged and checked elsewhere."""
         if not isinstance(value, str):
             return value
         number = _compiled(value, tuple(self._named))(*self._named.values())
@@ -246,7 +246,7 @@ class _Resolver:
         return number
 
     def word(self, match: re.Match[str]) -> str:
-        """Return a word of an expression, a parameter as its number in brackets."""
+        """Return a word of an expression; a parameter becomes its number in brackets."""
         name = match.group()
         if name not in self._named:
             return name
@@ -255,7 +255,7 @@ class _Resolver:
 
 
 def _each(value: Any, change: Callable[[Any], Any]) -> Any:
-    """Return a list or table with every entry changed; a text there is a name and stays."""
+    """Return a list or table with every entry changed; a text in place of it is a name and is returned unchanged."""
     if isinstance(value, Mapping):
         return {key: change(entry) for key, entry in value.items()}
     return [change(entry) for entry in value] if isinstance(value, list) else value

@@ -1,9 +1,9 @@
-"""Process disturbance and measurement noise told apart: scales of both by maximum likelihood of the innovations.
+"""Scales of process disturbance and measurement noise, by maximum likelihood of the innovations.
 
 With Q = sum q_i^2 E_i E_i^T and R = sum r_j^2 D_j D_j^T the Riccati equation gives the Kalman gain K and the covariance
-S of the innovations e; the scales minimise N log det S + sum e^T S^-1 e (Ljung 1999, section 7.4). A disturbance that
-is held over each sample counts: its scale is the standard deviation of that, as a plant's disturbances state it.
-White signals are assumed; what is not white is represented by the white ones that come nearest.
+S of the innovations e; the scales minimise N log det S + sum e^T S^-1 e (Ljung 1999, section 7.4). A disturbance is
+held over each sample: its scale is its standard deviation, as in a plant's disturbances. White signals are assumed;
+others are represented by the white signals that are nearest to them.
 """
 
 from __future__ import annotations
@@ -15,37 +15,33 @@ import numpy as np
 from gains.plants.plant import FloatArray
 
 _SPAN = (1e-4, 20.0)
-"""Of the scale at which a signal alone would make the residuals as large as they are: from next to nothing to clearly
-too much.
-"""
+"""Smallest and largest scale, as shares of the scale at which a signal alone would explain the residuals: from nearly
+nothing to clearly too much."""
 _ITERATIONS = 40
-"""Measured on the turret of the tests: 10 give the scales of 40 in all digits."""
+"""Largest number of iterations. Measured on the turret of the tests: 10 give the scales of 40 in all digits."""
 _MOST = 60
-"""Windows that the likelihood is computed on, spread evenly: its cost is theirs. 60 of 100 samples tell a scale to 1
-/ sqrt(12,000), which is .9 %; measured on the turret of the tests, 15 move a scale by up to 4 %, 30 and 150 by
-nothing.
-"""
+"""Largest number of windows on which the likelihood is computed, spread evenly: its cost grows with them. 60 of 100
+samples determine a scale to 1 / sqrt(12,000), which is .9 %; measured on the turret of the tests, 15 move a scale by up
+to 4 %, 30 and 150 do not move it."""
 _EPSILON = 1e-4
-"""Of the logarithm of a scale, for differences of the likelihood. Measured on the turret of the tests: 1e-6 gives the
-same scales, 1e-2 half a percent less.
-"""
+"""Step of the logarithm of a scale for differences of the likelihood. Measured on the turret of the tests: 1e-6 gives
+the same scales, 1e-2 half a percent less."""
 _FLOOR = 1e-5
-"""Share of each residual's size: keeps the covariance of outputs without noise invertible. Measured on the turret of
-the tests: 1e-7 and 1e-3 give the same scales.
-"""
+"""Least noise, as a share of each residual's size: it keeps the covariance of outputs without noise invertible.
+Measured on the turret of the tests: 1e-7 and 1e-3 give the same scales."""
 _STARTS = (1.0, 0.3, 0.1, 0.03, 0.01, 0.001)
-"""Shares of disturbance and of noise, each with each, for the likelihood has several maxima. Measured on the turret
-of the tests: one start finds the same scales, except those of a disturbance that is too small to be told from noise.
-"""
+"""Shares of disturbance and of noise at the starts, in all combinations, because the likelihood has several maxima.
+Measured on the turret of the tests: one start finds the same scales, except for a disturbance too small to be
+distinguished from noise."""
 _DOUBLINGS = 40
-"""Doubling is quadratic; forty reach a filter that forgets only within 2 ^ 40 samples."""
+"""Number of doublings. Convergence is quadratic; forty reach a filter that needs 2 ^ 40 samples to forget."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseScales:
     """The most likely scales and the Kalman filter that belongs to them."""
 
-    # q (number of disturbances,) and r (number of noises,); what nothing in the data calls for is next to zero
+    # q (number of disturbances,) and r (number of noises,); nearly zero if the data do not need it
     disturbances: FloatArray
     noises: FloatArray
     K: FloatArray  # filter gain (n, p): x^ + K e is the state after the measurement
@@ -55,9 +51,9 @@ class NoiseScales:
 def fit_noise_scales(A: FloatArray, C: FloatArray, E: FloatArray, D: FloatArray, residuals: FloatArray) -> NoiseScales:
     """Return the scales that make the residuals of a simulation most likely.
 
-    A (n, n) is the transition of a sample, linearised where the plant is not linear, C (p, n) the outputs; E (n, q) and
-    D (p, r) are the columns of disturbances and noises, not scaled; ``residuals`` are y - y^ of simulations over
-    windows, each from its own initial state (W, T, p).
+    A (n, n) is the transition of a sample, linearised if the plant is not linear, C (p, n) the outputs; E (n, q) and D
+    (p, r) are the columns of disturbances and noises, not scaled; ``residuals`` are y - y^ of simulations over windows,
+    each from its own initial state (W, T, p).
     """
     from scipy.optimize import minimize
 
@@ -79,7 +75,7 @@ def fit_noise_scales(A: FloatArray, C: FloatArray, E: FloatArray, D: FloatArray,
 
     shown = residuals[np.linspace(0, len(residuals) - 1, min(len(residuals), _MOST)).round().astype(int)]
     bounds = [(np.log(_SPAN[0]), np.log(_SPAN[1]))] * len(reference)
-    # the likelihood has several maxima: begin at the best of a few shares of disturbance and noise
+    # the likelihood has several maxima: start at the best of a few shares of disturbance and noise
     steps = np.log(_STARTS)
     grid = np.array([[a] * q + [b] * (len(reference) - q) for a in steps for b in steps])
     start = grid[int(np.argmin(_likelihoods(A, C, *filters_at(grid), shown)))]
@@ -91,7 +87,7 @@ def fit_noise_scales(A: FloatArray, C: FloatArray, E: FloatArray, D: FloatArray,
 
 
 def _effect_one(A: FloatArray, C: FloatArray, E: FloatArray, size: FloatArray, steps: int) -> FloatArray:
-    """Return the scale at which each disturbance alone would make residuals as large as they are."""
+    """Return the scale at which each disturbance alone would explain the size of the residuals."""
     response, energy = E.copy(), np.zeros(E.shape[1])
     for _ in range(steps):
         energy += np.mean(((C @ response) / size[:, None]) ** 2, axis=0)
@@ -106,8 +102,8 @@ def _kalman(
 ) -> tuple[FloatArray, FloatArray]:
     """Return filter gains (M, n, p) and innovation covariances (M, p, p) for M pairs of Q and R.
 
-    Riccati's equation is solved by doubling (Anderson 1978), in units in which the residual of each output is one.
-    Where it has no solution the gain is zero and the covariance so large that no likelihood prefers it.
+    Riccati's equation is solved by doubling (Anderson 1978), in units in which the residual of each output is one. If
+    it has no solution, the gain is zero and the covariance so large that the likelihood is never the best.
     """
     C_1, R_1 = C / size[:, None], R / np.outer(size, size)
     F, identity = np.broadcast_to(A.T, Q.shape), np.eye(len(A))

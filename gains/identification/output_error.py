@@ -1,12 +1,12 @@
-"""Identification of a plant with free parameters from noisy recordings, and how far to trust what was found.
+"""Identification of a plant with free parameters from noisy recordings, and the uncertainty of the result.
 
 1. Simulation over windows with free initial states (output error, multiple shooting): unbiased under measurement noise.
    The transport delay of the inputs is the whole number of samples that fits best.
-2. What the simulation leaves is told apart into disturbance and noise by maximum likelihood, which gives a Kalman gain.
+2. The simulation's residuals are attributed to disturbance and noise by maximum likelihood, which gives a Kalman gain.
 3. One-step prediction errors with that gain (prediction-error method): unbiased under disturbances too, and efficient.
    Steps 2 and 3 are taken twice.
 
-Standard errors come from the Jacobian, widened where the errors of whole windows vary more than white ones would.
+Standard errors come from the Jacobian, and are enlarged if the errors of whole windows vary more than white ones would.
 Source: Ljung, System Identification, 2nd ed. 1999, chapters 7, 9 and 16.
 """
 
@@ -29,35 +29,33 @@ from gains.plants.discretise import discretise
 from gains.plants.plant import Disturbance, FloatArray, Noise, Plant
 
 _WINDOW_S = 2.0
-"""Length of a window, s. Longer ones show slow dynamics, shorter ones are driven away less by disturbances. Measured
-on the turret of the tests: 1 s and 4 s move the parameters by less than half a standard error, but for one of sixteen
-(1.3).
-"""
+"""Length of a window, s. Longer ones show slow dynamics, in shorter ones disturbances move the simulation less.
+Measured on the turret of the tests: 1 s and 4 s move the parameters by less than half a standard error, except for one
+of sixteen (1.3)."""
 _LONGEST_DELAY_S = 0.2
 """Largest delay tried, s: telemetry radios and filters add up to less."""
 
 _LENGTHS = (20, 200)
 """Fewest and most samples of a window: fewer show no dynamics beside the free initial state, more cost memory."""
 _MOST_WINDOWS = 150
-"""Five minutes of data: bounds the time of a fit. Standard errors shrink with the root of the number of windows."""
+"""Largest number of windows, five minutes of data: it bounds the time of a fit. Standard errors shrink with the root of
+the number of windows."""
 _COARSE_WINDOWS = 20
-"""To find the delay alone. Measured on the turret of the tests: 5 and 40 find the same."""
+"""Number of windows for the search of the delay alone. Measured on the turret of the tests: 5 and 40 find the same."""
 _FEWEST_WINDOWS = 6
-"""Below, the variation between windows, on which the standard errors rest, is not known."""
+"""Fewest windows: with fewer the variation between windows, from which the standard errors follow, is not known."""
 _ROUNDS = 2
-"""Of noise and parameters in turn. Measured on the turret of the tests: one gives parameters and noise within .5 % of
-two, and three change nothing.
-"""
+"""Number of estimates of noise and parameters in turn. Measured on the turret of the tests: one gives parameters and
+noise within .5 % of two, and three change nothing."""
 _DELAY_GAIN = 0.01
-"""Of the logarithm of each output's error: a delay or a hold that explains 1 % more is not kept for it. Measured on
-the turret of the tests: .001 and .1 choose the same.
-"""
-# Samples do not say what the inputs did between them: nothing is known better than this share.
+"""Smallest gain in the logarithm of each output's error for which a delay or a hold is kept: 1 % of the error. Measured
+on the turret of the tests: .001 and .1 choose the same."""
+# Least relative error: samples do not show the inputs between them.
 _LEAST_ERROR = 1e-3
-# Information below this share is rounding of the sensitivities.
+# Share of the information below which it is rounding of the sensitivities.
 _UNSEEN = 1e-11
 _COARSE_EVALUATIONS = 8
-# How much better, in squared standard errors, a neighbouring delay has to be.
+# Smallest gain, in squared standard errors, for which a neighbouring delay is chosen.
 _SWITCH = 6.0
 _EVALUATIONS = 30
 
@@ -66,13 +64,13 @@ _EVALUATIONS = 30
 class FittedData:
     """Recorded windows and the fitted model's predictions of them."""
 
-    # outputs (W, T, p); the simulation knows no measurement but for its initial state
+    # outputs (W, T, p); the simulation uses measurements for its initial state only
     measured: FloatArray
     simulated: FloatArray
     innovations: FloatArray  # one-step prediction errors (W, T, p)
     states: FloatArray  # predicted states (W, T, n)
     u: FloatArray  # inputs, delayed (W, T, s)
-    # share explained of each output's variance by the simulation, and of its change from sample to sample by the
+    # explained share of each output's variance by the simulation, and of its change from sample to sample by the
     # one-step prediction (p,)
     simulated_share: FloatArray
     predicted_share: FloatArray
@@ -90,9 +88,9 @@ class OutputErrorFit:
     verdicts: tuple[ExcitationVerdict, ...]  # whether the recordings determine each parameter
     delay: int  # transport delay of the inputs, samples
     hold: Hold  # whether inputs fit better as ramps between samples or as steps
-    signals: Plant  # the plant at theta with the disturbances and noises that were fitted, at their most likely scales
+    signals: Plant  # the plant at theta with the fitted disturbances and noises at their most likely scales
     noise: NoiseScales  # those scales with the Kalman gain
-    # the windows it was fitted on, and windows kept back
+    # the windows of the fit, and windows kept back
     training: FittedData
     validation: FittedData
     residuals: tuple[ResidualStatistics, ...]  # statistics of the validation's innovations, one per output
@@ -103,13 +101,13 @@ def identify(
 ) -> OutputErrorFit:
     """Estimate a model's free parameters, its delay and its noise.
 
-    A model without free parameters gets delay and noise alone. The samples to fit on, and the ``validation`` that
-    judges the fit, are healthy; windows keep to 20 to 200 samples.
+    For a model without free parameters only delay and noise are estimated. The samples to fit on, and the
+    ``validation`` that judges the fit, are healthy; windows keep to 20 to 200 samples.
 
     Raises
     ------
     ModelError
-        Too few samples, or a model that runs away from its start values.
+        There are too few samples, or the model diverges at its start values.
     """
     if model.example.taps != (1.0,):
         raise ModelError(f"{model.path}: 'taps': leave them out; the delay is estimated")
@@ -125,21 +123,21 @@ def identify(
             f"{model.path}: only {len(windows.y) * length / rate_hz:.0f} s of healthy samples to fit on; "
             f"at least {_FEWEST_WINDOWS * length / rate_hz:.0f} s are needed"
         )
-    # 1. Simulation, K = 0; then again with each output in units of what the first left of it.
+    # 1. Simulation, K = 0; then again with each output in units of its error in the first.
     free = np.zeros((len(model.example.states), len(model.example.outputs)))
     theta, shooting = work.fit(theta, windows, hold, free, np.diag(1.0 / size))
     size = np.maximum(_rms(shooting.errors(theta)), 1e-9)
     theta, shooting = work.fit(theta, windows, hold, free, np.diag(1.0 / size), shooting.x)
     for _ in range(_ROUNDS):
-        # 2. Disturbance and noise: gain K and covariance S of the innovations. L L' = S^-1 makes them of size one.
+        # 2. Disturbance and noise: gain K and covariance S of the innovations. With L L' = S^-1 they have size one.
         simulation = work.shooting(windows, hold, free, np.diag(1.0 / size), shooting.x)
         errors = simulation.errors(theta)
         noise = _noise(_with_signals(model.plant(theta)), simulation.states(theta), errors, rate_hz)
         weight = np.linalg.cholesky(np.linalg.inv(noise.S))
-        # 3. One-step prediction with that gain, at the delays next to the one found.
+        # 3. One-step prediction with that gain, at the delays next to that of the simulation.
         delay, hold, theta, shooting = work.refined(delay, hold, theta, noise.K, weight)
         windows = work.windows(delay, _MOST_WINDOWS)
-    # What it is worth: on the windows it was fitted on, and on windows kept back.
+    # The quality of the fit, on its own windows and on windows kept back.
     covariance = _covariance(shooting, theta, len(windows.y))
     fitted = work.fitted(theta, hold, windows, noise)
     kept_back = work.fitted(theta, hold, cut_windows(validation, length, delay, longest, _MOST_WINDOWS), noise)
@@ -164,7 +162,7 @@ def identify(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Work:
-    """The data and the model that all stages share."""
+    """The data and the model of all stages."""
 
     model: FreeModel
     segments: Sequence[Segment]
@@ -215,9 +213,9 @@ class _Work:
         return np.asarray(fit.x), shooting
 
     def delay_and_hold(self) -> tuple[int, Hold, FloatArray, FloatArray]:
-        """Return delay and hold, the parameters that go with them, and the size of the errors left.
+        """Return delay and hold, their parameters, and the size of the remaining errors.
 
-        A grid over the delays is refined around its best; ramp and no delay are kept unless something fits better.
+        A grid over the delays is refined around its best; ramp and no delay are kept unless another choice fits better.
         """
         first = self.windows(0, _COARSE_WINDOWS)
         size = np.maximum(first.y.std(axis=(0, 1)), 1e-9)
@@ -260,7 +258,7 @@ class _Work:
     ) -> tuple[int, Hold, FloatArray, Shooting]:
         """Return delay, hold and parameters with the least prediction errors among the neighbours of those given.
 
-        Half a sample of delay and a lag look alike in a simulation that disturbances drive away.
+        Half a sample of delay and a lag look alike in a simulation that disturbances move.
         """
         held = self.model.example.domain == "continuous" and bool(self.model.example.inputs)
         near: list[tuple[int, Hold]] = [(delay, hold), (delay - 1, "first"), (delay, "first"), (delay + 1, "first")]
@@ -300,7 +298,7 @@ def _noise(signals: Plant, states: FloatArray, errors: FloatArray, rate_hz: floa
 
 
 def _with_signals(plant: Plant) -> Plant:
-    """Return the plant with a noise on every output, and with disturbances: on every state where it declares none."""
+    """Return the plant with a noise on every output, and with disturbances: on every state if it declares none."""
     states, outputs = np.eye(len(plant.states)), np.eye(len(plant.outputs))
     own = tuple(int(np.flatnonzero(w.column)[0]) for w in plant.noises if np.count_nonzero(w.column) == 1)
     return replace(
@@ -313,7 +311,7 @@ def _with_signals(plant: Plant) -> Plant:
 
 
 def _check_longest(model: FreeModel, segments: Sequence[Segment], rate_hz: float, needed: int) -> None:
-    """Refuse segments none of which has as many samples as a window and the delays before it need."""
+    """Refuse segments if none is long enough for a window and the delays before it."""
     longest = max((len(segment.u) for segment in segments), default=0)
     if longest < needed:
         raise ModelError(

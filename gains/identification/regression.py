@@ -4,10 +4,10 @@ For an output y, its actuator's effect u and other inputs z_j, all on one grid (
 
     y(k+1) = a y(k) + b v(k) + sum_j b_j z_j(k) + c,       v = u after transport delay and first-order lag
 
-Plain least squares puts measurement noise of y on both sides, which draws ``a`` towards zero and everything else
-with it. Here y(k) is replaced as instrument by the model's own simulation from the inputs alone, which that noise
-does not enter (refined instrumental variables; Young, Recursive Estimation and Time-Series Analysis, 2011, ch. 7).
-What is left, e(k) = w(k) + n(k+1) - a n(k), is parted into disturbance w and noise n by its first autocovariance.
+Plain least squares puts measurement noise of y on both sides, which biases ``a`` towards zero and all other
+coefficients with it. Here the instrument for y(k) is the model's own simulation from the inputs alone, which contains
+no such noise (refined instrumental variables; Young, Recursive Estimation and Time-Series Analysis, 2011, ch. 7). The
+first autocovariance of the residual e(k) = w(k) + n(k+1) - a n(k) separates disturbance w from noise n.
 """
 
 from __future__ import annotations
@@ -23,36 +23,29 @@ from gains.identification.segment import Segment
 from gains.plants.plant import FloatArray
 
 _LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)
-"""Lags tried, s: those of motors and servos, half as long again from one to the next, which the fit can just tell
-apart.
-"""
+"""Lags tried, s: those of motors and servos, so far apart that the fit can just distinguish them."""
 _DELAYS_S = (0.0, 0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.1)
-"""Delays tried, s, as far apart as the grid of usual telemetry resolves."""
+"""Delays tried, s, as far apart as the grid of usual telemetry."""
 _SETTLE_S = 1.0
-"""Left out after each start, s, since actuators begin at rest there: what a lag of .3 s has not forgotten is 4 %.
-Measured on recorded rovers: with .25 s steering changes by 2 % and its error grows by a quarter, with 2 s and 4 s by
-less than 1.2 %.
-"""
+"""Time left out after each start, s, because the actuators' model begins at rest there: a lag of .3 s has 4 % left
+after it. Measured on recorded rovers: with .25 s steering changes by 2 % and its error grows by a quarter, with 2 s and
+4 s by less than 1.2 %."""
 _LEAST_S = 20.0
-"""Data that is needed, s: twenty times the memory below, so that a standard error means something."""
+"""Shortest data, s: twenty times the memory below, so that standard errors are meaningful."""
 _SWEEPS = 4
-"""Of instruments and coefficients in turn. Measured on recorded planes and rovers: three give the coefficients of
-sixteen within .01 %.
-"""
+"""Number of estimates of instruments and coefficients in turn. Measured on recorded planes and rovers: three give the
+coefficients of sixteen within .01 %."""
 _MEMORY_S = 1.0
-"""Over which residuals correlate, s. Measured on recorded rovers: half of it understates standard errors by 8 to 18
-%, twice as much changes them on an axis without dynamics alone (by 7 and 20 %).
-"""
+"""Time over which residuals correlate, s. Measured on recorded rovers: half of it understates standard errors by 8 to
+18 %, twice as much changes them only on an axis without dynamics (by 7 and 20 %)."""
 _MIDDLE = 0.5
-"""Where an unstable estimate starts anew. Measured on recorded planes and rovers: .2 and .9 end at the same
-coefficients.
-"""
+"""Value of ``a`` from which an unstable estimate restarts. Measured on recorded planes and rovers: .2 and .9 end at the
+same coefficients."""
 _AS_GOOD = 10.0
-"""Twice the logarithm of a likelihood ratio: lag and delay lie within with a chance of 99.3 % (chi-squared with two
-degrees of freedom).
-"""
+"""Twice the logarithm of the likelihood ratio within which timings fit equally well: it includes the true lag and delay
+with a probability of 99.3 % (chi-squared with two degrees of freedom)."""
 _SMALLEST = 1e-12
-"""Least variance that is divided by: keeps a division by zero variance finite."""
+"""Least variance of a denominator: it keeps a division by zero variance finite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +56,8 @@ class AxisModel:
     output: str
     actuator: str
     others: tuple[str, ...]  # names of the z_j
-    # other actuators whose effect on y cannot be ruled out: no part of the model, but b is only as certain as it is
-    # with them in it. An actuator that moves in step with a rival is not known.
+    # other actuators whose effect on y cannot be ruled out: no part of the model, but the standard error of b is that
+    # with them in it. The effect of an actuator that moves in step with a rival cannot be identified.
     rivals: tuple[str, ...] = ()
     dynamic: bool = True  # whether y has a memory; otherwise a = 0, as for a specific force
     offset: bool = True  # whether there is a constant c
@@ -80,7 +73,7 @@ class AxisFit:
     b: float
     c: float
     effects: FloatArray  # b_j of ``model.others``
-    # standard error of b: for residuals as coloured as they are, rivals that may act, and timings that fit as well
+    # standard error of b, with the colour of the residuals, rivals that may act, and timings that fit equally well
     b_error: float
     # the actuator's timing
     lag_s: float
@@ -89,8 +82,9 @@ class AxisFit:
     # its two parts, in units of y: w per step, n
     disturbance_std: float
     noise_std: float
-    explained: float  # share of the variance of what ``a`` and the others leave of y(k+1) that the actuator explains
-    whiteness: float  # correlation of the residual with that one step before; near zero for a model that leaves nothing
+    # share of the variance of y(k+1), without the parts of ``a`` and the others, that the actuator explains
+    explained: float
+    whiteness: float  # correlation of the residual with that one step before; near zero for a complete model
     moved: float  # standard deviation of the actuator's effect
     samples: int  # number of one-step equations
 
@@ -105,7 +99,7 @@ def fit_axis(
 ) -> AxisFit:
     """Identify one output.
 
-    ``segments`` are unbroken healthy operation, the actuators' effects without delay and lag.
+    ``segments`` are uninterrupted healthy operation, the actuators' effects without delay and lag.
 
     Raises
     ------
@@ -182,9 +176,9 @@ class _Data:
     model: AxisModel
 
     def trial(self, lag_s: float, delay_s: float) -> tuple[float, float]:
-        """Return the mean square of what the simulation from the inputs alone leaves, and the actuator's gain.
+        """Return the mean square of the residual of the simulation from the inputs alone, and the actuator's gain.
 
-        The first is infinite where no stable model was found.
+        The mean square is infinite if no stable model was found.
         """
         X, target = self._equations(lag_s, delay_s)
         theta, Z = self._solve(X, target, lag_s, delay_s)
@@ -197,7 +191,7 @@ class _Data:
         return float(np.mean((target - simulated @ theta) ** 2)), float(theta[1] / (1.0 - theta[0]))
 
     def _solve(self, X: FloatArray, target: FloatArray, lag_s: float, delay_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the coefficients and the instruments they came from."""
+        """Return the coefficients and their instruments."""
         theta: FloatArray = np.asarray(np.linalg.lstsq(X, target, rcond=None)[0], dtype=np.float64)
         Z = X
         for _ in range(_SWEEPS if self.model.dynamic else 0):
@@ -289,7 +283,7 @@ def _shadowing(X: FloatArray, own: int, rivals: FloatArray) -> float:
 
 
 def _timings(rate_hz: float) -> Iterator[tuple[float, float]]:
-    """Yield the lags and delays that this grid can tell apart."""
+    """Yield the lags and delays that this grid resolves."""
     step = 0.5 / rate_hz
     delays = [delay for i, delay in enumerate(_DELAYS_S) if i == 0 or delay - _DELAYS_S[i - 1] >= step]
     return product(_LAGS_S, delays)

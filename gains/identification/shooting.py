@@ -5,7 +5,8 @@ A window's predictor, from its own initial state x(0) (theory's symbols; K the g
     e(k) = y(k) - C x(k),   x(k+1) = step(x(k) + K e(k), u(k), u(k+1))
 
 The initial states are least-squares estimates for given parameters and drop out of the fit (variable projection, Golub
-and Pereyra 1973): what is left of the errors and of their sensitivities is orthogonal to those of the initial state.
+and Pereyra 1973): the remaining errors and their sensitivities are orthogonal to the sensitivities to the initial
+state.
 """
 
 from __future__ import annotations
@@ -22,16 +23,17 @@ from gains.identification.simulation import Dynamics, Hold, Stepper
 from gains.plants.plant import FloatArray
 
 _STEP = 1e-6
-"""Of forward differences: the root of rounding, 1.5e-8, times what a simulation over 200 samples adds to it."""
+"""Step of forward differences: the root of rounding, 1.5e-8, times the growth of rounding in a simulation over 200
+samples."""
 _SWEEPS = 3
-"""Gauss-Newton steps of the initial states for given parameters: one suffices where the plant is linear."""
+"""Gauss-Newton steps of the initial states for given parameters: one suffices if the plant is linear."""
 _RANK = 1e-7
-"""Relative singular value: ten times below the accuracy of the differences that the matrix holds."""
+"""Relative singular value of full rank: ten times below the accuracy of the differences in the matrix."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Windows:
-    """Stretches of equal length: ``u`` (W, T, s), delayed already, and ``y`` (W, T, p)."""
+    """Windows of equal length: ``u`` (W, T, s), delayed already, and ``y`` (W, T, p)."""
 
     u: FloatArray
     y: FloatArray
@@ -46,7 +48,7 @@ class Sensitivities(NamedTuple):
 
 
 def split_segments(logs: Sequence[Sequence[Segment]]) -> tuple[list[Segment], list[Segment]]:
-    """Return training and validation segments: of three or more logs the last is kept back, else the last quarter."""
+    """Return training and validation segments: of three or more logs the last is kept back, or the last quarter."""
     filled = [segments for segments in logs if segments]
     if len(filled) >= 3:
         return [segment for segments in filled[:-1] for segment in segments], list(filled[-1])
@@ -108,9 +110,9 @@ class Shooting:
     """Prediction errors as a function of the parameters alone.
 
     ``dynamics`` are the plant's equations at parameter values (k,), whose orders of magnitude are ``sizes``. The
-    innovation gain K (n, p) is zero to simulate. Errors count as e @ L, L (p, p) the ``weight``: with L L' the inverse
-    of their covariance they have size one. ``x`` is a first guess of the initial states (W, n), None the least one that
-    the first output allows.
+    innovation gain K (n, p) is zero for a simulation. Errors count as e @ L, L (p, p) the ``weight``: with L L' the
+    inverse of their covariance they have size one. ``x`` is a first guess of the initial states (W, n), None: the
+    smallest that explains the first output.
     """
 
     def __init__(
@@ -132,11 +134,11 @@ class Shooting:
         self.x = x
 
     def residual(self, theta: FloatArray) -> FloatArray:
-        """Return the weighted errors with the best initial states (W T p,); not finite where the plant runs away."""
+        """Return the weighted errors with the best initial states (W T p,); not finite if the plant diverges."""
         return np.asarray(self._whitened(self._evaluate(theta).errors).ravel())
 
     def jacobian(self, theta: FloatArray) -> FloatArray:
-        """Return their sensitivities to the parameters (W T p, k), initial states following (Kaufman)."""
+        """Return their sensitivities to the parameters (W T p, k), with the initial states adapted (Kaufman)."""
         sensitivities = self._evaluate(theta)
         W, T, p, k = sensitivities.parameters.shape
         J, J_0 = self._weighted(sensitivities.parameters), self._weighted(sensitivities.states)
@@ -210,6 +212,6 @@ class Shooting:
 
 
 def _range(matrices: FloatArray) -> FloatArray:
-    """Return orthonormal bases of the columns of each matrix; columns that are none become zero."""
+    """Return orthonormal bases of the columns of each matrix; dependent columns become zero."""
     left, singular, _ = np.linalg.svd(matrices, full_matrices=False)
     return np.asarray(left * (singular > _RANK * singular[:, :1])[:, None, :])

@@ -1,8 +1,8 @@
-"""Simulation of many copies of a plant at once: parameter sets by windows of data, one NumPy step per sample.
+"""Simulation of many copies of a plant at once: parameter sets times windows of data, one NumPy step per sample.
 
-Between samples k and k+1 the linear part is exact (matrix exponential); inputs v and nonlinearities g(x) are ramps
-from one sample to the next, g(x(k+1)) being taken at a first prediction (exponential time differencing of order 2,
-Cox and Matthews 2002). Discrete plants step as they are written:
+Between samples k and k+1 the linear part is exact (matrix exponential); inputs v and nonlinearities g(x) are ramps from
+one sample to the next, g(x(k+1)) being taken at a first prediction (exponential time differencing of order 2, Cox and
+Matthews 2002). Discrete plants are evaluated as written:
 
     x+ = Phi x + Gamma_0 v(k) + Gamma_1 v(k+1) + gamma + Lambda_0 g(x(k)) + Lambda_1 g(x(k+1))
 """
@@ -22,7 +22,7 @@ from gains.plants.plant import FloatArray, Plant
 Hold = Literal["first", "zero"]
 Vectorised = Callable[[Sequence[FloatArray]], FloatArray]
 
-# The series of a matrix of size one half: what is left out is below 1e-17.
+# Number of terms of the series for a matrix of size one half: the remainder is below 1e-17.
 _TERMS = 14
 _MOST_HALVINGS = 60
 
@@ -50,13 +50,13 @@ class Dynamics:
 
 
 def compile_vectorised(node: Node) -> Vectorised:
-    """Return an expression as a function of a sequence of arrays that broadcast; NaN where it has no value."""
+    """Return an expression as a function of a sequence of arrays that broadcast; NaN if it has no value."""
     function = closure(node, _FUNCTIONS, _OPERATORS)
     return lambda values: np.asarray(function(values), dtype=np.float64)
 
 
 def linearised(plant: Plant, states: FloatArray) -> Plant:
-    """Return the plant with A that of the mean slope of each nonlinearity over states (N, n); G stays as it is."""
+    """Return the plant linearised at the mean slope of each nonlinearity over states (N, n), in A; G is unchanged."""
     A = plant.A.copy()
     for i, g in enumerate(plant.nonlinearities):
         node = parse_expression(g.expression, g.arguments)
@@ -97,13 +97,13 @@ class Stepper:
         self._looks_ahead = bool(Lambda_1.any())
 
     def drives(self, u: FloatArray) -> FloatArray:
-        """Return what inputs u (W, T, s) and the offset add to the states at each step (T - 1, P, W, n)."""
+        """Return the effect of inputs u (W, T, s) and of the offset on the states at each step (T - 1, P, W, n)."""
         powers = u[..., None] ** np.arange(1, self._curves.shape[2] + 1)
         v = np.einsum("wtsd,psd->tpws", powers, self._curves)
         return np.asarray(v[:-1] @ self._Gamma_0_T + v[1:] @ self._Gamma_1_T + self._gamma[:, None, :])
 
     def step(self, x: FloatArray, drive: FloatArray) -> FloatArray:
-        """Return x(k+1) (P, W, n) from x(k) and what drives it at this step (P, W, n)."""
+        """Return x(k+1) (P, W, n) from x(k) and the effect of the inputs at this step (P, W, n)."""
         base: FloatArray = x @ self._Phi_T + drive
         if not self._functions:
             return base
@@ -158,7 +158,7 @@ def _sampled(dynamics: Dynamics, h: float, hold: Hold) -> tuple[FloatArray, ...]
 def _expm(matrix: FloatArray) -> FloatArray:
     """Return the exponential of a small matrix by its series, scaled and squared.
 
-    SciPy's costs ten times as much for matrices of this size, and a fit needs thousands.
+    SciPy's function costs ten times as much for matrices of this size, and a fit needs thousands.
     """
     halvings = max(0, int(np.ceil(np.log2(max(float(np.abs(matrix).sum(axis=1).max()), 1e-300)))) + 1)
     if halvings > _MOST_HALVINGS:
