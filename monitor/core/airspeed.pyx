@@ -1,15 +1,14 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""The wind triangle, sample by sample: the airspeed that GPS and wind let expect, and the wind that it tells.
+"""The airspeed expected from GPS and wind (wind triangle), sample by sample, and the estimate of that wind.
 
-With the GPS's velocity v, the climb c and the wind w, all true speeds,
+With the GPS's velocity v, the climb rate c and the wind w, all as true speeds,
 
     s = sqrt((v_north - w_north)^2 + (v_east - w_east)^2 + c^2),     airspeed = s + b + gusts.
 
-A Kalman filter follows the wind and the sensor's small error b; it tells them apart as the plane turns, for b turns
-along. It begins with the wind that the heading tells; the compass is not asked later. The wind that is compared with
-is the one of some seconds ago, so that a fault has not been taken for wind when it is seen. Once the difference stands
-out its error is let free, and the wind, too, may have changed: what turns along with the plane is the sensor's, what
-does not is wind.
+A Kalman filter estimates the wind and the sensor's small error b. They are told apart when the plane turns: b turns
+with the plane, the wind does not. The first wind comes from the heading; the compass is not used later. The expected
+airspeed uses the wind of some seconds ago, so that a fault is seen before the filter takes it for wind. Once the
+difference exceeds its level, the error b may become large and the wind may have changed too ("free").
 """
 
 import numpy as np
@@ -18,58 +17,59 @@ from cpython.mem cimport PyMem_Free, PyMem_Malloc
 from libc.math cimport M_PI, cos, fabs, fmax, fmin, isfinite, pow, sin, sqrt
 from libc.string cimport memset
 
-# Standard deviations at the start: of the wind, as a share of the speed, what sideslip and a heading that is 11 degrees
-# off make of it; of the sensor's error, m/s, half of what its zero on the ground may be off by at the slowest flight.
+# Standard deviations at the start. Wind, as a share of the speed: the effect of sideslip and of a heading 11 degrees
+# off. Sensor's error, m/s: half of what its zero set on the ground may be off by at the slowest flight.
 cdef double _WIND = 0.2
 cdef double _ERROR = 0.5
-# Random walk of that error, m/s per root of a second: 0.1 in a flight of some minutes.
+# Random walk of that error, m/s per root of a second: 0.1 m/s in a flight of some minutes.
 cdef double _ERROR_WALK = 0.005
-# The same once it is let free: standard deviation at least, m/s, and as a multiple of the difference; by how much the
-# wind may have changed then; the walk. Chosen: a pitot tube may read nothing or far too much, and the wind must not
-# answer for a part of that; with 2 m/s it took a third of a leak of 8 m/s in 16 s, with 0.5 m/s a front that was
-# followed came back; a leak grows and falls with the speed within a turn.
+# The same for a free error: its least standard deviation, m/s, and its standard deviation as a multiple of the
+# difference; by how much the wind may have changed, m/s; the random walk. Chosen: a pitot tube may read nothing or far
+# too much, and the wind must not absorb part of that. With 2 m/s the wind absorbed a third of a leak of 8 m/s in 16 s;
+# with 0.5 m/s a front that had been followed raised its alarm again. A leak grows and falls with the speed within a
+# turn.
 cdef double _FREE_ERROR = 10.0
 cdef double _FREE_TIMES = 4.0
 cdef double _FREE_WIND = 1.0
 cdef double _FREE_WALK = 0.3
-# Age of the wind that is compared with, seconds: three times the mean of the difference, and the debounce of its alarm.
+# Age of the wind used for the expected airspeed, seconds: three times _MEAN_S, plus the debounce of the alarm.
 cdef double _AGE_S = 5.0
-# How long a gust lasts, seconds, 160 m at 20 m/s: so many samples count as one.
+# Duration of a gust, seconds (160 m at 20 m/s): the samples of so long a time count as one.
 cdef double _GUST_S = 8.0
-# Random walk of the wind, m/s per root of a second and, as it grows with height, per root of a metre of climb. Chosen:
-# a metre per second in a minute and a half; 3 m/s in 100 m, as a wind of 5 m/s grows from 10 m above the ground.
+# Random walk of the wind, m/s per root of a second, and, as wind grows with height, per root of a metre of climb.
+# Chosen: 1 m/s in 100 s; 3 m/s in 100 m, as a wind of 5 m/s grows from 10 m above the ground.
 cdef double _WALK = 0.1
 cdef double _SHEAR = 0.3
-# Time constant of the mean difference by which the error is let free, and of the climb.
+# Time constant of the mean difference that frees the error, and of the climb rate, seconds.
 cdef double _MEAN_S = 1.0
-# How long the mean has to be half of that for the fault to be over, seconds: gusts pass zero sooner.
+# How long that mean has to stay below half its level until the fault is over, seconds: gusts cross zero sooner.
 cdef double _OVER_S = 3.0
-# How late or early GPS and airspeed may be against each other, seconds: half of what a filter of 1 Hz and the time
-# between two fixes of 5 Hz make. So much of a change of speed is no difference.
+# Time by which GPS and airspeed may be apart, seconds: half of the delay of a 1 Hz filter plus the time between two
+# fixes at 5 Hz. The change of speed within this time is no difference.
 cdef double _TIMING_S = 0.15
-# Time constant of that change, seconds.
+# Time constant of that change of speed, seconds.
 cdef double _CHANGE_S = 0.3
-# Over what time the present size of gusts is known, seconds; times as large as in the fitted flights at most. What is
-# more is no gust.
+# Time over which the present size of gusts is measured, seconds, and the largest size, as a multiple of that in the
+# fitted flights. A difference beyond that is no gust.
 cdef double _ROUGH_S = 10.0
 cdef double _ROUGHEST = 3.0
-# Standard deviation up to which the wind along the flight is known, m/s: half of the least difference that is an alarm
-# of a plane of 20 m/s.
+# The wind along the flight is known up to this standard deviation, m/s: half of the smallest difference that raises an
+# alarm at 20 m/s.
 cdef double _KNOWN = 1.0
-# How long the difference has to be half of what lets the error free until a wind that was not known is one to compare
-# with, and for how long one that never agrees is waited for, seconds. Chosen: in a first turn, of a wind that nothing
-# had told before, it was off by 7 m/s for 9 s; a covered pitot tube never agrees.
+# How long the difference has to stay below half its level until a first estimate of the wind is used, and the longest
+# wait for that, seconds. Chosen: in its first turn an unknown wind was off by 7 m/s for 9 s; with a covered pitot tube
+# the difference never gets small.
 cdef double _AGREED_S = 5.0
 cdef double _WAITED_S = 60.0
-# Steepest climb or dive, as a share of the speed: beyond 30 degrees a climb by GPS altitudes is late by too much.
+# Steepest climb or dive, as a share of the speed: beyond 30 degrees the delay of GPS altitudes is too large.
 cdef double _STEEPEST = 0.5
-# Standard atmosphere: temperature's lapse per metre over that at sea level, and half the exponent of the density.
+# Standard atmosphere: lapse rate over the temperature at sea level, per metre; half the exponent of the density.
 LAPSE = 2.25577e-5
 EXPONENT = 2.12794
 cdef double _LAPSE = LAPSE, _EXPONENT = EXPONENT, _HIGHEST = 2e4
 
 cdef enum:
-    # Values of a tick that wait: true airspeed, velocity north, east, climb, whether they are measured.
+    # Values of a tick in the delay line: true airspeed, velocity north, east, climb rate, whether they are measured.
     _WAITING = 5
 
 
@@ -110,7 +110,7 @@ cdef class AirspeedCore:
         PyMem_Free(self._line)
 
     cdef void restart(self) noexcept:
-        """Forget everything."""
+        """Forget all samples."""
         memset(self._x, 0, sizeof(self._x))
         memset(self._P, 0, sizeof(self._P))
         self._P[2][2] = _ERROR * _ERROR
@@ -121,7 +121,7 @@ cdef class AirspeedCore:
         self._begun = self._flies = self._free = self._known = False
 
     def run(self, samples):
-        """Go on by raw samples (airspeed, GPS speed, course in degrees and altitude, yaw); return what they show.
+        """Process raw samples (airspeed, GPS speed, course in degrees and altitude, yaw).
 
         Parameters
         ----------
@@ -131,8 +131,9 @@ cdef class AirspeedCore:
         Returns
         -------
         tuple
-            The expected true airspeed of each, the measured one of the sample before (its own at a start), whether one
-            of them lacks or is not known, and how many times larger gusts are than in the fitted flights; each (n,).
+            For each sample, (n,): the expected true airspeed; the measured one of the sample before (its own at a
+            start); whether one of them was not measured or is not known; how many times larger gusts are than in the
+            fitted flights.
         """
         cdef const double[:, ::1] raw = np.ascontiguousarray(samples.u)
         cdef const unsigned char[:] restart = samples.restart.view(np.uint8)
@@ -162,7 +163,7 @@ cdef class AirspeedCore:
         return found[0], found[1], lacking, found[2]
 
     cdef bint tick(self, const double* raw, double* off) noexcept:
-        """Go on by a sample; fill in the difference. Return whether the wind is known and the plane flies."""
+        """Process a sample and fill in the difference. Return whether the wind is known and the plane flies."""
         cdef double[_WAITING] now
         cdef double[3] H
         cdef double course = raw[2] * M_PI / 180.0, altitude = raw[3]
@@ -210,7 +211,7 @@ cdef class AirspeedCore:
         return True
 
     cdef void start(self, const double* now, double yaw) noexcept:
-        """Begin with the wind that airspeed and heading tell; with none where the airspeed is that of no flight."""
+        """Begin with the wind from airspeed and heading; with no wind where the airspeed is below that of flight."""
         cdef double spread = _WIND * now[0]
         self._flies = True
         if now[0] > self._minimum:
@@ -220,7 +221,7 @@ cdef class AirspeedCore:
         self._P[0][0] = self._P[1][1] = spread * spread
 
     cdef void release(self, double difference) noexcept:
-        """Let the sensor's error free; what waits holds it already."""
+        """Free the sensor's error, and drop the delay line, whose samples contain that error already."""
         if not self._free:
             self._free, self._over_s = True, 0.0
             self._count = self._next = 0
@@ -229,7 +230,7 @@ cdef class AirspeedCore:
         self._P[2][2] += fmax(_FREE_ERROR, _FREE_TIMES * fabs(difference)) ** 2
 
     cdef void hold(self) noexcept:
-        """Take the sensor for right again, with the error that it had before."""
+        """End the fault: the sensor's error is again what it was before."""
         cdef int i
         self._free = False
         for i in range(2):
@@ -237,7 +238,7 @@ cdef class AirspeedCore:
         self._x[2], self._P[2][2] = self._offset, _ERROR * _ERROR
 
     cdef double triangle(self, const double* now, double* H) noexcept:
-        """Return the speed through the air; fill in how it, and the sensor's error, change with the state."""
+        """Return the speed through the air; fill in the derivatives of the airspeed with respect to the state."""
         cdef double north = now[1] - self._x[0], east = now[2] - self._x[1]
         cdef double speed = sqrt(north * north + east * east + now[3] * now[3])
         H[0] = -north / speed if speed > 0.0 else 0.0
@@ -246,7 +247,7 @@ cdef class AirspeedCore:
         return speed
 
     cdef double variance(self, const double* H) noexcept:
-        """Return the variance of the speed that is expected."""
+        """Return the variance of the expected airspeed."""
         cdef double found = 0.0
         cdef int i, j
         for i in range(3):
@@ -255,7 +256,8 @@ cdef class AirspeedCore:
         return found
 
     cdef void follow(self, const double* now) noexcept:
-        """Let the wind go on by a sample, and meet one of some seconds ago; of a free error the present one."""
+        """Predict the state by a sample and correct it by the one of some seconds ago; a free error by the present
+        one."""
         cdef double[_WAITING] measured
         cdef double[3] H
         cdef double* place = self._line + self._next * _WAITING
@@ -267,7 +269,7 @@ cdef class AirspeedCore:
         self._P[1][1] += self._dt * wind
         self._P[2][2] += self._dt * walk * walk
         if self._free:
-            # A sample that the sensor's being right explains better says nothing of its error, nor of the wind.
+            # A sample that fits the error before the fault better says nothing of the free error, nor of the wind.
             if now != NULL:
                 off = fabs(now[0] - self.triangle(now, H) - self._offset)
                 if 2.0 * off > fabs(self._x[2] - self._offset):
@@ -290,7 +292,7 @@ cdef class AirspeedCore:
     cdef void meet(self, const double* now) noexcept:
         """Correct the state by a measured airspeed.
 
-        One that is far off counts as three deviations; of a free error it is a new one.
+        An innovation beyond three standard deviations is cut there; if the error is free, it frees the error anew.
         """
         cdef double[3] H
         cdef double[3] gain

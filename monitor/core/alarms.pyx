@@ -14,34 +14,34 @@ cdef double NANOSECONDS = 1e9
 # The contract with subscribers: updates come at most once a second (docs/operations.md).
 cdef int64_t UPDATE_EVERY_NS = 1_000_000_000
 
-# An update reports a size that moved by this share, or by half the threshold. The estimate of a constant loss of thrust
-# varies by 3 to 6 % of itself (one standard deviation, losses of 5, 10 and 20 % in gusts), so 15 % is no noise.
+# An update reports a size that changed by this share, or by half the threshold. The estimate of a constant loss of
+# thrust varies by 3 to 6 % of itself (one standard deviation, losses of 5, 10 and 20 % in gusts), so 15 % is not noise.
 cdef double UPDATE_SHARE = 0.15
 
-# An update also reports a size that is known this many times better than the last one that was reported: that of the
-# first two samples of a sudden change is rough. Chosen: halved, so that a size is corrected where that can be read.
+# An update also reports a size whose standard deviation is smaller by this factor than that of the size last reported:
+# the first size of a sudden change comes from two samples. Chosen: a halved uncertainty is a difference for a reader.
 cdef double UPDATE_SHARPER = 2.0
 
-# Two alarms within latch_s may be two causes; at the third the cause is taken to come and go (docs/thresholds.md).
+# Two alarms within latch_s may have two causes; with the third the alarm counts as recurring (docs/thresholds.md).
 cdef int RECURRENCES = 3
 
-# Time constants of the two means whose difference is the slope. Chosen: the slow one is as long as the slow path's mean
+# Time constants of the two means whose difference gives the slope. Chosen: the slow one as long as the slow path's mean
 # (slow_s of AlarmRule), the quick one a quarter of it; the slope of a ramp is known after WAIT_S + SLOW_S = 3 s.
 cdef double QUICK_S = 0.5
 cdef double SLOW_S = 2.0
 
-# How long an observer is on its way to a fault that came as a step: twice the slowest time constant of the fitted motor
-# banks (0.42 to 0.5 s on three quadcopters).
+# Time in which an estimate approaches a sudden fault: twice the slowest time constant of the fitted motor banks (0.42
+# to 0.5 s on three quadcopters).
 cdef double WAIT_S = 1.0
 
-# Time over which the mean of what lasts forgets, once it has grown as long: that of a flight (monitor.fitting.lasting).
+# Longest memory of the mean of the lasting path: that of a flight (monitor.fitting.lasting).
 cdef double FLIGHT_NS = 300e9
 
-# How long a sudden change is taken to last that the estimate does not show yet: as long as the test's window
-# (WINDOW_S of monitor.estimation.changes) still holds its onset.
+# How long an alarm of a sudden change stays active although the estimate does not show it yet: as long as the test's
+# window (WINDOW_S of monitor.estimation.changes) contains its onset.
 cdef int64_t UNSEEN_NS = 2_000_000_000
 
-# Rows of evidence that others explain follow each other where they are no further apart: the slowest observer's two.
+# Rows of explained evidence count as consecutive up to this distance: two samples of the slowest observer.
 cdef int64_t EXPLAINED_APART_NS = 2_000_000_000
 
 NONE, RAISED, UPDATED, CLEARED, EXPLAINED = range(5)
@@ -53,12 +53,12 @@ cdef enum:
     C_EXPLAINED = 4
 
 
-# Before the first moment of any vehicle's clock.
+# Earlier than any time of a vehicle's clock.
 cdef int64_t LONG_AGO = -(1 << 62)
 
 cdef struct Change:
-    # a sudden change of one channel, with the nats that speak for it: zero for none; its size, with its standard
-    # deviation, grows so much a second
+    # A sudden change of one channel: its log-likelihood ratio in nats (zero: none); its size and the standard deviation
+    # of it; how much the size grows per second.
     double nats, size, sd, growth
     int64_t onset_ns
 
@@ -75,10 +75,10 @@ cdef class Trend:
         self.run_s = self.quick = self.slow = 0.0
 
     cpdef void update(self, double evidence, int64_t elapsed_ns) noexcept:
-        """Follow evidence that lasted for some nanoseconds."""
+        """Process evidence that lasted for ``elapsed_ns``."""
         cdef double elapsed_s = elapsed_ns / NANOSECONDS
         if self.run_s < WAIT_S:
-            # The observer is still on its way to a fault that came as a step.
+            # The estimate still approaches a sudden fault.
             self.quick = self.slow = evidence
         else:
             self.quick += (1.0 - exp(-elapsed_s / QUICK_S)) * (evidence - self.quick)
@@ -86,11 +86,11 @@ cdef class Trend:
         self.run_s += elapsed_s
 
     cpdef double size_in(self, double seconds) noexcept:
-        """Return the size the evidence will have some seconds ahead if it goes on growing; 0 where it does not."""
+        """Return the size of the evidence some seconds ahead if it goes on growing; 0 where it does not grow."""
         cdef double slope, now
         if self.run_s < WAIT_S + SLOW_S:
             return 0.0
-        # Of a ramp with slope s a mean lags by s times its time constant.
+        # On a ramp of slope s, a mean lags by s times its time constant.
         slope = (self.quick - self.slow) / (SLOW_S - QUICK_S)
         now = self.quick + slope * QUICK_S
         return fabs(now + slope * seconds) if slope * now > 0.0 else 0.0
@@ -118,8 +118,8 @@ cdef class AlarmState:
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
     cdef bint contiguous, fails_towards_less, explained
     cdef int64_t explained_ns, explained_last_ns
-    # the weighted mean of the slow path; that of all evidence since it began, its size without the scale, and how long
-    # that has been
+    # The weighted mean of the slow path; the mean of all evidence of the lasting path, the same not divided by the
+    # scale, and the time these two cover.
     cdef double mean, whole, whole_size, whole_ns
     cdef bint lasts
     cdef Trend trend
@@ -148,7 +148,7 @@ cdef class AlarmState:
         self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
         self.nats, self.least = rule.nats, max(rule.least, rule.smallest)
         self.lasting, self.lasting_ns = max(rule.lasting, rule.smallest), rule.lasting_s * NANOSECONDS
-        # what is off by a part of its full deflection is off to either side
+        # A surface may deflect by too little or too much, to either side.
         self.fails_towards_less = rule.kind == "actuator" and "deflection" not in rule.unit
 
     def set_excuse(self, bint now, spans):
@@ -158,12 +158,12 @@ cdef class AlarmState:
 
     def resume(self, double estimate, double peak, double size, double sd, int64_t reported_ns, bint critical,
                bint creeping, bint recurring):
-        """Be active as an event of another run of the monitor says."""
+        """Take over an active alarm from its event of another run of the monitor."""
         self.counter_ns = self.fast_counter_ns = self.unseen_ns = 0
         self.trend.reset()
         self.forget()
         if creeping:
-            # Which mean had seen it the event does not say: both hold it.
+            # The event does not say which of the two means raised the alarm: set both.
             self.mean, self.whole, self.whole_size = estimate, limited(estimate, self.threshold), estimate
             self.lasts, self.whole_ns = self.lasting < INFINITY, self.lasting_ns
         self.active, self.critical, self.creeping, self.recurring = True, critical, creeping, recurring
@@ -180,7 +180,7 @@ cdef class AlarmState:
         self.trend.reset()
 
     cdef void forget(self) noexcept:
-        """Begin the means anew."""
+        """Forget the means."""
         self.mean = self.whole = self.whole_size = self.whole_ns = 0.0
 
     cdef bint excused(self, int64_t now) noexcept:
@@ -202,10 +202,10 @@ cdef class AlarmState:
             self.last_ns, self.contiguous = now, True
             self.raise_alarm(now, change.size, self.least, False)
             self.sudden, self.reported_sd = True, change.sd
-            # One that grows is seen when it has grown.
+            # A growing change is visible only once it has grown.
             self.unseen_ns = UNSEEN_NS + (<int64_t>(self.ahead_s * NANOSECONDS) if change.growth != 0.0 else 0)
             return C_RAISED
-        # What explains the evidence keeps an alarm from being raised; one that is active follows its own evidence.
+        # An excuse keeps an alarm from being raised; an active alarm follows its own evidence.
         if not speaking:
             self.contiguous = False
             return C_NONE
@@ -213,7 +213,7 @@ cdef class AlarmState:
             self.contiguous = False
             return self.explain(now, fabs(evidence) / scale)
         self.explained, self.explained_ns = False, 0
-        # The clock of a vehicle that rebooted jumps back.
+        # After a reboot the vehicle's clock jumps back.
         elapsed = now - self.last_ns if self.contiguous and now > self.last_ns else 0
         self.last_ns, self.contiguous = now, True
         self.average(restart, evidence / scale, scale, elapsed)
@@ -223,7 +223,7 @@ cdef class AlarmState:
         if event == C_RAISED:
             self.reported_sd = sd
         if event == C_RAISED and not self.creeping and change.nats > 0.0 and change.onset_ns > self.ended_ns:
-            # The estimate is on its way to a sudden change; the test knows its size before it is certain.
+            # The estimate still approaches the sudden change, whose size the test knows already.
             if change.size * evidence > 0.0:
                 self.shown = self.peak = self.reported = change.size
                 self.critical = fabs(change.size) >= self.critical_size
@@ -231,7 +231,7 @@ cdef class AlarmState:
         return event
 
     cdef int explain(self, int64_t now, double size) noexcept:
-        """Say once of evidence that other alarms explain when it would have raised this one."""
+        """Return EXPLAINED, once, when evidence that other alarms explain would have raised this one."""
         cdef int64_t elapsed = now - self.explained_last_ns
         self.explained_last_ns = now
         elapsed = elapsed if 0 < elapsed <= EXPLAINED_APART_NS else 0
@@ -242,9 +242,10 @@ cdef class AlarmState:
         return C_EXPLAINED
 
     cdef bint is_certain(self, const Change* change, double evidence) noexcept:
-        """Return whether a sudden change raises the alarm; an actuator that does more needs the estimate's word.
+        """Return whether a sudden change raises the alarm.
 
-        What began before the alarm ended has been reported. One that grows counts with the size to which it is going.
+        One that began before the last alarm ended was reported with that alarm. A growing one counts with its future
+        size. An actuator that delivers more than commanded has to show in the estimate, too.
         """
         cdef double size = fabs(change.size) + fabs(change.growth) * self.ahead_s
         if not (change.nats >= self.nats and size >= self.least and change.onset_ns > self.ended_ns):
@@ -252,11 +253,11 @@ cdef class AlarmState:
         return change.size < 0.0 or not self.fails_towards_less or evidence >= self.clear
 
     cdef void average(self, bint restart, double evidence, double scale, int64_t elapsed) noexcept:
-        """Move on the means over slow_s, of evidence of twice ``slow`` at most, and of all evidence up to threshold."""
+        """Update the means over slow_s, of evidence up to twice ``slow``, and of all evidence up to the threshold."""
         cdef double keep, entered
         if restart:
-            # An observer that starts anew climbs back to a fault: no growth of the fault. What keeps an alarm active
-            # is not forgotten meanwhile, or the alarm would come back as another one.
+            # After a restart the estimate climbs back to a fault, which is no growth of the fault. A mean that keeps an
+            # alarm active is kept, otherwise the fault would raise a second alarm.
             if not (self.active and self.creeping):
                 self.forget()
             self.trend.reset()
@@ -307,7 +308,7 @@ cdef class AlarmState:
         """Update or clear an active alarm."""
         cdef double shown, ahead, moves
         cdef bint worsens, due, moved, sharper, kept
-        # What only a mean sees is still best described by it.
+        # The size of evidence that only a mean shows is the mean.
         self.creeping = self.creeping and fabs(evidence) < (scale if self.lasts else 1.0) * self.threshold
         shown = evidence
         if self.creeping:
@@ -336,12 +337,12 @@ cdef class AlarmState:
         self.counter_ns = 0 if self.recurring else max(0, self.counter_ns - elapsed)
         moves = max(UPDATE_SHARE * fabs(self.reported), self.size / 2)
         moved = fabs(shown - self.reported) > moves
-        # where the deviation was not known, any is better
+        # Any standard deviation is better than an unknown one.
         sharper = UPDATE_SHARPER * sd <= self.reported_sd or (isnan(self.reported_sd) and not isnan(sd))
         due = not 0 <= now - self.reported_ns < UPDATE_EVERY_NS
         if worsens or ((moved or sharper) and due):
             if sharper and self.peak == self.reported:
-                # A rough size is no peak of the fault.
+                # The peak was the rough size of before.
                 self.peak = shown
             self.reported, self.reported_ns, self.reported_sd = shown, now, sd
             return C_UPDATED
@@ -349,13 +350,13 @@ cdef class AlarmState:
 
 
 cdef inline double limited(double evidence, double most) noexcept:
-    """Evidence of a size of ``most`` at most; what is no number counts as the least."""
+    """Return evidence limited to ``most``; -``most`` for NaN."""
     evidence = most if most < evidence else evidence
     return evidence if evidence > -most else -most
 
 
 cdef inline int64_t counted(int64_t counter_ns, int64_t elapsed, bint beyond) noexcept:
-    """A clamped up/down counter of time."""
+    """Return a counter of time that counts up while ``beyond``, otherwise down to zero."""
     return counter_ns + elapsed if beyond else max(0, counter_ns - elapsed)
 
 
@@ -405,7 +406,8 @@ cdef class ChainRows:
         self.change_sd = change_sd
 
     cdef void supersede(self, Py_ssize_t alarm) noexcept:
-        """Wait no longer for the estimate to show sudden changes of other channels: it shows this one."""
+        """Clear the sooner the alarms of sudden changes of other channels that no estimate shows: this one is the
+        cause."""
         cdef Py_ssize_t i
         for i in range(len(self.alarms)):
             if i != alarm:
@@ -417,7 +419,7 @@ cdef class ChainRows:
         cdef AlarmState other
         if self.changed is None or self.changed[row] != alarm:
             return change
-        # While another fault is active, and as it ends, what changes is that one.
+        # A change that begins while another fault is active, or before it ends, belongs to that fault.
         for i in range(len(self.alarms)):
             other = <AlarmState>self.alarms[i]
             if i != alarm and (other.active or other.ended_ns >= self.onset_ns[row]):
@@ -430,10 +432,10 @@ cdef class ChainRows:
 
 def nats_asked(alarms, const double[:, :] evidence, const uint8_t[:, :] speaking, const double[:, :] scale,
                const double[:] beyond):
-    """Return the fewest nats with which a sudden change can make a difference to any alarm, by row (n,).
+    """Return the fewest nats with which a sudden change can matter to any alarm, by row (n,).
 
-    Those are the fewest that raise an alarm, as many times more as errors are larger by the square; 0 where
-    evidence may raise one, whose size a sudden change then tells.
+    These are the fewest that raise an alarm, multiplied by the square of ``beyond``; 0 where the evidence itself may
+    raise one, for a sudden change then gives its size.
 
     Parameters
     ----------
@@ -460,9 +462,10 @@ def nats_asked(alarms, const double[:, :] evidence, const uint8_t[:, :] speaking
 
 
 cdef class Weighing:
-    """What estimates are as evidence of an observer's A alarms, and how many times larger than usual it has to be.
+    """Turns estimates into evidence of an observer's A alarms, with the factor (scale) by which sizes have to be
+    larger.
 
-    The first m alarms are those of faults, behind them come those of what no hypothesis explains.
+    The first m alarms are those of faults, followed by those of residuals that no hypothesis explains.
 
     Parameters
     ----------
@@ -473,9 +476,9 @@ cdef class Weighing:
     shown : bool (a, p)
         Outputs in which each fault shows.
     healthy : float64 (a,)
-        Share of its threshold that each fault reaches in health.
+        Size that each fault's estimate reaches in health, as a share of its threshold.
     excited : intp
-        Faults whose errors grow with what is flown.
+        Faults whose errors grow with rates and commands.
     """
 
     cdef const Py_ssize_t[::1] fault_of, excited
