@@ -1,63 +1,64 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""From estimates and residuals to evidence, row after row: banks of hypotheses, edges, washouts, joint isolation.
+"""Turns estimates and residuals into evidence, row after row: choice of a hypothesis, edges, washouts, joint isolation.
 
-The rules themselves; what they are for is told where they are set up, in :mod:`monitor.estimation`. Sums go through
-their terms in one fixed order, so results do not depend on how a stream is cut.
+:mod:`monitor.estimation` tells what these rules are for. Sums are taken in one fixed order, so that results do not
+depend on how a stream is cut.
 """
 
 from libc.math cimport INFINITY, fabs, isnan, sqrt
 
 import numpy as np
 
-# How many times smaller another hypothesis' J has to be before it replaces the one believed. Measured on five recorded
-# quadrotor flights: 1, 1.5, 2 and 4 change the hypothesis in 28, 16, 13 and 8 % of the rows; the alarms are the same,
-# and from 2 on the sizes of their events too.
+# Another hypothesis replaces the believed one if its J is smaller by this factor. Measured on five recorded quadrotor
+# flights: 1, 1.5, 2 and 4 change the hypothesis in 28, 16, 13 and 8 % of the rows; the alarms are the same, and from 2
+# on the sizes in their events too.
 cdef double LOYALTY = 2.0
-# Between two hypotheses of opposite effect, one actuator that delivers less and one that delivers more, J decides as
-# its mean over so many times the smoothing. Both leave the same of what the model does not know; they differ in one
-# weak axis (yaw, of a multirotor), by (2 y)^2 with y the effect there: disturbances of that axis average out, the
-# effect stays. Chosen: .3 s at 100 Hz, as long as a gust of the body's rates.
+# Between an actuator that delivers less and one that delivers more, a mean of J decides, whose time constant is this
+# multiple of the smoothing's. Such two hypotheses explain the data equally well but for one weak axis (yaw of a
+# multirotor), where they differ by (2 y)^2, y being the effect there. Disturbances of that axis average out, the effect
+# does not. Chosen: 0.3 s at 100 Hz, as long as a gust in the body rates.
 cdef double RIVALS_MEAN = 6.0
-# Share of gain_penalty by which the mean has to speak for an actuator that delivers more until neither of the two is
-# held responsible. Chosen: 5 nats of J are 2.5 of likelihood, odds of 12; a loss is not delayed by noise.
+# An actuator that delivers more is in question once its mean J is better by this share of gain_penalty; until the
+# decision none of the two is held responsible. Chosen: a difference of 5 in J is 2.5 nats, odds of 12; noise does not
+# delay a loss.
 cdef double RIVALS_OPEN = 0.2
-# Share of the J of one of two such up to which the other one is clearly nearer: half of its residual. Then the mean
-# over level_s decides, in units of the noise of now. Measured on a motor that delivers 5 % more in 10 Hz logs of two
-# autopilots: J of 10 and .3, 8 and .1, where the penalty alone asks for 25 between them.
+# One of these two explains the data clearly better if its J is below this share of the other's: half of its residual.
+# Then the mean over level_s decides, in units of the present noise. Measured on a motor that delivers 5 % more in 10 Hz
+# logs of two autopilots: J of 10 and 0.3, 8 and 0.1, where the penalty alone asks for a difference of 25.
 cdef double RIVALS_CLEAR = 0.25
-# Times the limit of what explains the data up to which the mean J of an actuator that delivers more may be. Measured on
-# losses put into a flight at 100 Hz: without it a third motor was named at the end of one of two losses in 4 of 36
-# runs, with once the limit a motor that delivers 10 % more is named 0.07 s later, with four times neither.
+# Largest mean J of an actuator that delivers more, as a multiple of the limit below which a J explains the data.
+# Measured on losses put into a flight at 100 Hz: without this limit a third motor was named at the end of one of two
+# losses in 4 of 36 runs; with a factor of 1 a motor that delivers 10 % more is named 0.07 s later; with 4 neither
+# happens.
 cdef double AFTER_SEVERAL = 4.0
-# Share of the larger loss that the smaller one of two actuators has to have where one actuator alone explains the data,
-# too: less may be an error of the model. Chosen: above the tolerance, a fifth, that is left to such errors.
+# Where one actuator alone explains the data too, the smaller of two losses has to be this share of the larger one: a
+# smaller one may be an error of the model. Chosen: above the tolerance for such errors, a fifth.
 cdef double SECOND_SHARE = 0.25
-# Share of score_floor^2 by which the mean J of both has to be smaller than that of one that lost effect: as much as
-# healthy flight left unexplained at most, for the floor's score is twice that (MARGIN of monitor.fitting.calibrate).
+# Share of score_floor^2 by which the mean J of two losses has to be below that of one: at most what healthy flight
+# leaves unexplained, as the floor is twice the score of health (MARGIN of monitor.fitting.calibrate).
 cdef double SECOND_APART = 0.25
-# A level is flat where it moves by less than this share of the step. A ramp through the window moves a level by
-# flat / (gap + mean), 1.7 steps; chosen: far below that, and enough for noise of an eighth of the step.
+# A level is flat if it changes by less than this share of the step. A ramp through the window changes a level by flat /
+# (gap + mean), 1.7 steps. Chosen: far below that, with room for noise of an eighth of the step.
 cdef double EDGE_SHARE = 0.25
-# Share that an edge may lose meanwhile: a ramp goes on, but attitudes follow a sensor that jumped and take that back.
-# Chosen: as for the end of an edge, halfway to a jump that is over.
+# Share of the step that may fade within the second level: an attitude that follows a sensor's jump takes it back, while
+# a ramp goes on. Chosen: half, as for the end of an edge.
 cdef double EDGE_FADED = 0.5
-# An edge that leaves less than this share of itself, and of what was there, has ended it. Chosen: halfway between a
-# sensor that is back where it was and one that jumped once more.
+# An edge after which less than this share of it, and of the level before it, is left ends the fault. Chosen: halfway
+# between a sensor that is right again and one that jumped once more.
 cdef double EDGE_CANCELLED = 0.5
-# Share of bridged rows in the window up to which an edge is believed: lines across losses are flat and have corners.
-# Without it two of twelve healthy runs with 30 % of the messages lost raised a gyro.
+# Largest share of bridged rows in the window of an edge: lines over lost measurements are flat and have corners.
+# Without this limit two of twelve healthy runs with 30 % of the messages lost raised a gyro alarm.
 cdef double EDGE_BRIDGED = 0.6
 # Shares of the threshold and of the peak, explained at Washout. Chosen: a smaller share of the threshold would
-# integrate errors of healthy operation, a larger one cuts off more of a slow fault; a tenth of the peak is what an
-# error of a tenth in scale or time constant leaves of a fault that has ended.
+# integrate errors of healthy operation, a larger one would lose more of a slow fault; an error of a tenth in scale or
+# time constant leaves a tenth of the peak after the fault has ended.
 cdef double WASHOUT_QUIET = 0.5
 cdef double WASHOUT_OVER = 0.1
-# Share of a fault that was let go by which its end may differ from it. Chosen: halfway to what another fault would be
-# told by, as for edges; a fault that creeps while it is held changes by as much.
+# The end of a fault that was let go may differ from it by this share. Chosen: halfway to another fault, as for edges; a
+# fault that creeps while its size is held changes by as much.
 cdef double WASHOUT_RETURNED = 0.5
-# Largest J of the hypothesis believed, as a multiple of what healthy flight has, with which a row counts in the level.
-# Chosen: six deviations. Measured: a windy flight watched with the profile of a calm one has 11 on average and 36 over
-# ten seconds.
+# A row counts in the level with a J of at most this multiple of that in healthy flight. Chosen: six deviations.
+# Measured: a windy flight watched with the profile of a calm one has 11 on average and 36 over ten seconds.
 cdef double LEVEL_CLIP = 36.0
 
 
@@ -75,24 +76,23 @@ cdef class Choice:
     channel : ndarray
         The channel of each column (F,).
     shown : ndarray
-        The column that is shown for each channel: that of its smallest hypothesis (a,).
+        The column whose estimate is returned for each channel: that of its smallest hypothesis (a,).
     scaling : ndarray of bool
         Columns of faults that scale an input (F,).
     groups : list of ndarray
         The hypotheses that are compared, by their number of faults, the fewest first.
     own : ndarray of bool
-        Channels that not all compared hypotheses have (K, a).
+        Channels that only some of the compared hypotheses have (K, a).
     edges : sequence of (hypothesis, column, EdgeDetector)
-        The hypotheses that are not compared, with each fault that is of theirs alone.
+        The hypotheses that are not compared, with each fault that only they have.
     washouts : sequence of (channel, Washout)
-        Channels whose estimates are given back.
+        Channels whose washout is inverted.
     keep : float
-        Share of the smoothed values that a row leaves.
+        Weight of the smoothed values before a row.
     floor, share, penalty : float
         score_floor^2, tolerance^2 and gain_penalty of the rule.
     usual, follow : float
-        Mean of the smallest J in healthy flight, 0 where its level is not followed, and the share of the
-        level that a row brings.
+        Mean of the smallest J in healthy flight (0: its level is not followed), and the weight of a row in the level.
     """
 
     cdef double[:, :, ::1] whitening
@@ -113,7 +113,7 @@ cdef class Choice:
         self.whitening = np.ascontiguousarray(whitening)
         self.spans, self.channel, self.shown = (np.asarray(indices, np.intp) for indices in (spans, channel, shown))
         self.scaling, self.own = np.asarray(scaling, np.uint8), np.ascontiguousarray(own, np.uint8)
-        # Hypotheses in the order in which they are preferred, and the rank of the group that each belongs to.
+        # Hypotheses in the order of preference, and the rank of the group of each.
         self.compared = np.concatenate(groups).astype(np.intp)
         self.group = np.repeat(np.arange(len(groups)), [len(members) for members in groups]).astype(np.intp)
         self.watched = np.array([k for k, _, _ in edges], np.intp)
@@ -137,10 +137,10 @@ cdef class Choice:
             const unsigned char[:] armed, const double[:] beyond, const unsigned char[:] corrected=None):
         """Return believed x, fault, believed residual, evidence, counted, smoothed, unexplained and level of n rows.
 
-        x (n, K, states), fault (n, F) and residual (n, K, p) are what the observers estimate. A row that is neither
-        measured nor a restart teaches nothing: the choice stays. The level is followed over rows that are evidence
-        (``armed``). ``beyond`` is how many times larger all sizes are outside of the fitted flights, None: once. Where
-        y was ``corrected``, None: nowhere, the residual is a jump that no sensor made, and left out.
+        x (n, K, states), fault (n, F) and residual (n, K, p) are the estimates of the observers. A row that is neither
+        measured nor a restart does not change the choice. The level is followed over rows that are evidence
+        (``armed``). ``beyond`` is the factor by which all sizes are larger outside of the fitted flights; None: 1.
+        Where y was ``corrected`` (None: nowhere), the residual is a jump of the data, not of a sensor, and is left out.
         """
         cdef Py_ssize_t k, i, count = x.shape[0], states = x.shape[2], p = residual.shape[2], a = self.shown.shape[0]
         if not count == fault.shape[0] == residual.shape[0]:
@@ -169,7 +169,7 @@ cdef class Choice:
             if measured[k] or restart[k]:
                 self.update(fault, residual, k, complete[k] and not self.coasted,
                             1.0 if beyond is None else beyond[k], corrected is not None and corrected[k])
-                # What no hypothesis explains is no weather: it must not hide itself.
+                # Data that no hypothesis explains are no weather: they must not raise the level and hide themselves.
                 if armed[k] and self.usual > 0.0 and self.unexplained == 0.0:
                     brought = level[k] * self.least / self.usual
                     self.level += self.follow * (min(brought, LEVEL_CLIP) - self.level)
@@ -252,20 +252,21 @@ cdef class Choice:
         for i in range(count):
             k = self.compared[i]
             if group >= 0 and self.group[i] > group:
-                # Fewer faults explain the data: those with more need not be looked at.
+                # Fewer faults explain the data: no need to look at hypotheses with more.
                 break
             if self.J[k] <= limit:
                 group = self.group[i]
                 if self.delivers_more(k):
-                    # What several make that deliver more, others make that deliver less. As one of two losses ends,
-                    # what stays looks for a moment like an actuator that delivers more.
+                    # Two or more actuators that deliver more are explained as others that deliver less, so only one
+                    # may. As one of two losses ends, the rest looks for a moment like an actuator that delivers more.
                     if self.faults(k) == 1 and self.mean_J[k] <= AFTER_SEVERAL * limit:
                         more = k if more < 0 or self.J[k] < self.J[more] else more
                 elif following < 0 or self.J[k] < self.J[following]:
                     following = k
         if following >= 0 and more >= 0:
             apart = self.mean_J[following] - self.mean_J[more]
-            # What lasts is compared in units of the noise of now, or of errors of the model where these are larger.
+            # The lasting means are compared in units of the present noise, or of errors of the model where these are
+            # larger.
             noise = min(1.0, max(self.level, self.share))
             lasting = self.lasting_J[following] - self.lasting_J[more]
             gains = apart > self.penalty or (
@@ -273,11 +274,11 @@ cdef class Choice:
                 and lasting > noise * self.penalty
                 and self.lasting_J[more] < RIVALS_CLEAR * self.lasting_J[following]
             )
-            # One that the mean is about to decide for needs no more time.
+            # The mean is about to decide: then the choice is not left open.
             clear = self.J[following] - self.J[more] <= self.penalty and (
                 self.mean_J[more] < RIVALS_CLEAR * self.mean_J[following]
             )
-            # In health all explain the data, and an estimate's sign is noise.
+            # In health every hypothesis explains the data, and the sign of an estimate is noise.
             self.open = not gains and (
                 apart > RIVALS_OPEN * self.penalty and worst > self.floor
                 or clear and apart > RIVALS_OPEN * noise * self.penalty
@@ -290,7 +291,7 @@ cdef class Choice:
             following = self.with_second(following)
             if not self.stays(following, limit):
                 if self.faults(following) != self.faults(self.believed):
-                    # What the means hold is of more faults or of fewer.
+                    # The means belong to hypotheses with another number of faults: begin them anew.
                     self.mean_J[:] = self.J
                 self.believed = following
             return
@@ -306,7 +307,8 @@ cdef class Choice:
         return self.spans[k + 1] - self.spans[k]
 
     cdef Py_ssize_t with_second(self, Py_ssize_t single) noexcept:
-        """Return the hypothesis of two actuators that lost effect where it does far better than one that explains."""
+        """Return the hypothesis of two losses where it explains the data far better than ``single``, else
+        ``single``."""
         cdef Py_ssize_t i, k, first, best = single
         cdef double one, other, apart = self.penalty, loyalty
         if self.faults(single) != 1:
@@ -328,7 +330,8 @@ cdef class Choice:
         return best
 
     cdef bint stays(self, Py_ssize_t best, double limit) noexcept:
-        """Return whether the hypothesis believed so far stays: as few faults, explains, and is not clearly worse."""
+        """Return whether the believed hypothesis stays: it explains the data with as few faults and is not clearly
+        worse."""
         if self.faults(self.believed) != self.faults(best) or not self.J[self.believed] <= limit:
             return False
         if self.delivers_more(best) != self.delivers_more(self.believed):
@@ -336,7 +339,7 @@ cdef class Choice:
         return not self.J[self.believed] > LOYALTY * self.J[best]
 
     cdef bint delivers_more(self, Py_ssize_t k) noexcept:
-        """Return whether hypothesis k has an actuator deliver more than commanded."""
+        """Return whether an actuator delivers more than commanded by hypothesis k."""
         cdef Py_ssize_t i
         for i in range(self.spans[k], self.spans[k + 1]):
             if self.scaling[i] and self.fault[i] > 0.0:
@@ -344,7 +347,7 @@ cdef class Choice:
         return False
 
     cdef bint is_remembered(self, Py_ssize_t k) noexcept:
-        """Return whether a washed-out fault of hypothesis k's own was larger than its threshold one row ago."""
+        """Return whether a washed-out fault that only hypothesis k has was above its threshold one row ago."""
         cdef Py_ssize_t i
         for i in range(self.remembered.shape[0]):
             if self.remembered[i] and self.own[k, self.washed[i]]:
@@ -352,7 +355,7 @@ cdef class Choice:
         return False
 
     cdef void give_back(self, bint explained, double beyond) noexcept:
-        """Give washed-out faults back, whichever hypothesis is believed; show those of the one that is."""
+        """Invert the washouts of all faults; those of the believed hypothesis become evidence."""
         cdef Py_ssize_t i, j, channel
         cdef double size
         cdef Washout washout
@@ -366,13 +369,14 @@ cdef class Choice:
                         self.evidence[channel] = size
 
     cdef void watch_edges(self, const double[:, :] fault, Py_ssize_t row, bint complete) noexcept:
-        """Take the evidence of sensors from the edges of their estimates; an edge that is held explains the data."""
+        """Set the evidence of sensors to the edges of their estimates; an edge that is held explains the data."""
         cdef Py_ssize_t i, k, column
         cdef double whole
         cdef EdgeDetector detector
         for i in range(self.watched.shape[0]):
             k, column, detector = self.watched[i], self.watched_column[i], <EdgeDetector> self.detectors[i]
-            # An edge is flat before and after, which no lively flight is: it is believed at the level of health alone.
+            # Before and after an edge the estimate is flat, which it is not in a lively flight: J is judged by health's
+            # level.
             whole = self.J[k] * max(1.0, self.level)
             self.evidence[self.channel[column]] = detector.update(fault[row, column], whole, complete)
             if detector.held != 0.0 and self.J[k] <= self.floor:
@@ -380,24 +384,25 @@ cdef class Choice:
 
 
 cdef class EdgeDetector:
-    """Watches one sensor fault's estimate for edges: a jump of the sensor, not a fault of the plant, which ramps.
+    """Watches the estimate of one sensor's fault for edges: jumps of the sensor, unlike faults of the plant, which
+    ramp.
 
-    A sensor fault is estimated without any assumption about how it moves, so it can explain whatever its output does:
-    the estimate of a gyro bias takes up a failing motor as well. A jump of the sensor makes an edge, which a push on
-    the plant cannot make: flat, then another level within a few samples, of which more than half stays, while the
-    hypothesis of this sensor leaves no more unexplained than healthy flight. The size is held until an opposite one
-    cancels it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell. An opposite edge that
-    comes later is its end, and no fault of its own. Lines that bridge lost measurements are flat and have corners:
-    where more than three in five of the samples around an edge are bridged, it does not count.
+    A sensor's fault is estimated without any assumption about its course, so it can explain anything that its output
+    does: the estimate of a gyro bias follows a failing motor, too. A jump of the sensor makes an edge, which a push on
+    the plant cannot make: a flat level, then another level within a few samples, more than half of which stays, while
+    the hypothesis of this sensor leaves no more unexplained than in healthy flight. The size is held until an opposite
+    edge cancels it, at most for ``hold_s``: after that only another sensor could tell the bias. An opposite edge that
+    comes later is the end of that fault and no new one. Lines over lost measurements are flat and have corners: an edge
+    does not count where more than three in five of the samples around it are bridged.
 
     Parameters
     ----------
     mean, gap, flat, longest : int
-        Rows of the running mean, of the gap between the levels, of a level, and for which an edge is held at most.
+        Rows of the running mean, of the gap between the levels, of a level, and of the longest hold of an edge.
     limit : float
         Largest J with which the hypothesis is believed.
     smallest : float
-        Smallest edge that is held; not a number: edges only show.
+        Smallest edge that is held; NaN: edges are returned, not held.
     """
 
     cdef Py_ssize_t mean, gap, longest, size, filled, head, estimated, loud, matched, quiet, age, bridged
@@ -410,7 +415,8 @@ cdef class EdgeDetector:
 
     def __init__(self, mean, gap, flat, longest, limit, smallest):
         self.mean, self.gap, self.longest, self.limit, self.smallest = mean, gap, longest, limit, smallest
-        # Rows back from the newest mean: within the second level, its begin, the end of the first level, its begin.
+        # Rows back from the newest mean: to the middle and the begin of the second level, to the end of the first
+        # level.
         self.middle, self.after, self.before = flat // 2, flat, flat + gap + mean
         self.size = self.before + flat + 1
         self.estimates, self.means = np.zeros(mean), np.zeros(self.size)
@@ -435,10 +441,10 @@ cdef class EdgeDetector:
         return result
 
     cdef double update(self, double estimate, double J, bint complete) noexcept:
-        """Process one row; return the size that is held, or of the edge where none is held."""
+        """Process one row; return the size that is held, or that of the edge where none is held."""
         cdef double step, before
         self.push(estimate, complete)
-        # A J beyond the limit rules edges out until the whole window lies after it.
+        # A J beyond the limit rules out edges until the whole window is later than it.
         self.loud = self.size if self.limit < J else max(0, self.loud - 1)
         self.age += 1
         self.quiet = max(0, self.quiet - 1)
@@ -452,19 +458,19 @@ cdef class EdgeDetector:
         if self.edge != 0.0 and fabs(self.edge) >= self.smallest:
             self.quiet = self.gap + 2 * self.mean
             self.age = 0
-            # What leads back to nothing is the end of what came slowly, or is not held any more.
+            # An edge back to zero ends a fault that came slowly or is no longer held.
             if self.held == 0.0 and fabs(self.back(0)) < EDGE_CANCELLED * fabs(self.edge):
                 self.gone = 0.0
                 return 0.0
             before = self.held if self.held != 0.0 else self.gone if self.gone * self.edge < 0.0 else 0.0
             self.held, self.gone = before + self.edge, 0.0
-            # One that leads to the other side by as much has not ended it.
+            # An edge that leads to the other side by as much does not end the fault.
             if before and fabs(self.held) < EDGE_CANCELLED * min(fabs(self.edge), fabs(before)):
                 self.held = 0.0
         return self.held
 
     cdef void push(self, double estimate, bint complete) noexcept:
-        """Append the mean of the newest estimates, and whether the row was bridged, to the window."""
+        """Append the mean of the newest estimates to the window, and whether the row was bridged."""
         cdef Py_ssize_t i, first
         cdef double total = 0.0
         self.head = (self.head + 1) % self.size
@@ -479,7 +485,7 @@ cdef class EdgeDetector:
         self.filled = min(self.filled + 1, self.size)
 
     cdef double step(self) noexcept:
-        """Return the step from before the gap to after it, zero where the estimate was not flat or goes on or back."""
+        """Return the step over the gap; zero where a level is not flat, or goes on, or goes back."""
         cdef double step, on
         cdef Py_ssize_t rows
         if self.loud or self.filled < self.size or self.bridged > EDGE_BRIDGED * self.size:
@@ -491,7 +497,7 @@ cdef class EdgeDetector:
         if fabs(self.back(self.before) - self.back(self.size - 1)) >= EDGE_SHARE * fabs(step):
             return 0.0
         for rows in (0, self.middle):
-            # as a share of the step, further in its direction
+            # Further change since the step, as a share of it and positive in its direction.
             on = (self.back(rows) - self.back(self.after)) / step
             if not -EDGE_FADED < on < EDGE_SHARE:
                 return 0.0
@@ -502,32 +508,33 @@ cdef class EdgeDetector:
 
 
 cdef class Washout:
-    """Inverse of the washout of one fault channel: what washing out takes from a fault that lasts.
+    """Inverse of the washout of one fault channel: restores a lasting fault that the washout removes.
 
     An observer of washed-out positions and angles sees a fault f through the same washout,
 
         f_w' = f' - f_w / tau,     whose exact inverse is     f = f_w + (1/tau) * integral of f_w dt,
 
-    so a step fades and, when the fault ends, swings to the other side. Integrated for ever the inverse would grow with
-    every error of healthy operation; it is integrated only while |f_w| is large:
+    so a step fades, and the end of the fault shows as a step with the other sign. The inverse would integrate every
+    error of healthy operation; so it integrates only while |f_w| is large:
 
     - no fault (integral zero) and |f_w| <= threshold / 2: f = f_w;
-    - |f_w| > threshold / 2: the integral runs (by the trapezoidal rule), and f = f_w + integral / tau;
-    - |f_w| <= threshold / 2 again while f is still large: the fault lasts, fully washed out; the integral is held, for
-      ``longest`` rows. After that nothing measured speaks for the fault any more: it is let go, and remembered, so that
-      its end, a step of as much the other way, is no fault of its own;
-    - |f| back within the threshold, or within a tenth of its peak (errors of a tenth leave as much): the fault is over,
-      and zero is given until |f_w| has settled too, for ``settle`` rows (a step down passes through zero on its way),
-      when everything is forgotten.
+    - |f_w| > threshold / 2: the integral runs (trapezoidal rule), and f = f_w + integral / tau;
+    - |f_w| <= threshold / 2 again while f is still large: the fault lasts, fully washed out, and the integral is held
+      for ``longest`` rows. After that no measurement supports the fault any more: it is let go, but remembered, so that
+      its end, an opposite step of its size, is not taken for a new fault;
+    - |f| within the threshold again, or within a tenth of its peak (errors of a tenth leave as much): the fault is
+      over. The result is zero until |f_w| has stayed small for ``settle`` rows (a step down passes through zero); then
+      everything is forgotten.
 
     Parameters
     ----------
     share : float
-        1 / (2 tau rate): what the trapezoidal rule gives one row of f_w / tau.
+        1 / (2 tau rate): the weight of one row of f_w / tau in the trapezoidal rule.
     threshold : float
         Alarm threshold of the channel.
     settle, longest : int
-        Rows after which a fault that ended is forgotten, and for which one is held that nothing measured speaks for.
+        Rows after which a fault that ended is forgotten, and for which a fault is held without a measurement that
+        supports it.
     """
 
     cdef readonly double threshold, peak
@@ -554,7 +561,7 @@ cdef class Washout:
     cdef double update(self, double washed, double beyond) noexcept:
         """Process one row's estimate f_w; return f = f_w + integral / tau.
 
-        ``beyond`` is how many times larger its threshold is outside of the fitted flights: errors are, too.
+        ``beyond`` is the factor by which errors, and so the threshold, are larger outside of the fitted flights.
         """
         cdef double threshold = beyond * self.threshold
         cdef bint moves = fabs(washed) > WASHOUT_QUIET * threshold, over
@@ -571,7 +578,7 @@ cdef class Washout:
             self.peak = size
         over = size <= max(threshold, WASHOUT_OVER * self.peak)
         if not moves and not over and self.still >= self.longest:
-            # Held, the integral is what it was; the row itself may be the first of the fault's end.
+            # While held the integral did not change, but this row may already belong to the end of the fault.
             self.gone = self.integral
             self.integral = self.peak = 0.0
             return washed
@@ -582,14 +589,14 @@ cdef class Washout:
         return 0.0 if over and self.peak > 0.0 else fault
 
     cdef bint returns(self, double fault, double threshold) noexcept:
-        """Return whether a fault is the end of one that was let go, or may be on its way to it."""
+        """Return whether a fault is the end of one that was let go, or may become it."""
         cdef double left = fabs(fault + self.gone), size = fabs(self.gone)
         if fault * self.gone >= 0.0:
             return False
         if self.moving <= self.settle:
             return left < size
         if left <= max(threshold, WASHOUT_RETURNED * size):
-            # All is as before it: zero, until the washed-out estimate has settled.
+            # The end of the fault: zero until the washed-out estimate has settled.
             self.integral, self.peak, self.gone = self.integral - fault, size, 0.0
             return True
         return False
@@ -603,7 +610,7 @@ cdef class IndependentIsolation:
     channels : int
         Number of channels a.
     keep : float
-        Share of the smoothed estimate that a row leaves.
+        Weight of the smoothed estimate before a row.
     """
 
     cdef double keep

@@ -3,7 +3,7 @@
 # Sums of different onsets are independent: two are added at a time, to the same bits.
 """Likelihood ratio of a fault that began lately against health, on whitened innovations, row after row.
 
-The rule itself; :mod:`monitor.estimation.changes` tells what it is for, in the same symbols.
+:mod:`monitor.estimation.changes` explains the rule, in the same symbols.
 """
 
 from libc.math cimport exp, fabs, rint, sqrt
@@ -11,52 +11,54 @@ from libc.stdint cimport int64_t, uint8_t
 
 import numpy as np
 
-# Nats by which a name has to be ahead of every other: odds of e^7, one wrong name in a thousand (theory 5.1 (3)).
+# The best fault is named if it is this many nats ahead of every other: odds of e^7, one wrong name in a thousand
+# (theory 5.1 (3)).
 cdef double MARGIN = 7.0
-# Nats against an actuator that delivers more than commanded: those fail towards less. As much as gain_penalty = 25 of
-# the bank takes off J, which is twice a log-likelihood.
+# Nats taken from an actuator that delivers more than commanded, as actuators fail towards less: as much as gain_penalty
+# = 25 of the bank, whose J is twice a log-likelihood.
 cdef double AGAINST_GAIN = 12.5
-# A hypothesis has to explain half of what there is to explain since its onset, beyond noise: twice the mean of
-# |z|^2 / 2, which is 1 / 2 for an axis and a row. Measured on seven faults of three quadcopters: with a third instead
-# of a half a name comes up to 0.4 s later, as the first rows of a loss fit the model's lag badly.
+# A hypothesis has to explain half of the energy since its onset beyond that of noise: twice the mean of |z|^2 / 2,
+# which is 1 / 2 for an axis and a row. Measured on seven faults of three quadcopters: with a third instead of a half a
+# name comes up to 0.4 s later, as the first rows of a loss fit the model's lag badly.
 cdef double UNEXPLAINED_SHARE = 1.0
 cdef double NOISE_OF_AXIS = 1.0
-# Largest square with which a row counts in the noise's own level: a fault begins with larger ones, and must not hide
-# itself. Chosen: three deviations. Of sensors, whose faults step once and not in every row, they are those of the level
-# so far: another stream of a sensor, less filtered, of another rate or rounding, has any noise, and that is followed.
+# Largest square with which a row counts in the level of the noise: a fault begins with larger ones, which must not hide
+# it. Chosen: three deviations. For sensors, whose faults step once and not in every row, these are deviations of the
+# present level: another stream of a sensor (less filtered, of another rate or rounding) may have any noise, and the
+# level follows it.
 cdef double LEVEL_CLIP = 9.0
-# Losses that can be one. Chosen: a quarter more than everything, for sizes of the first samples are rough.
+# Largest size of a loss. Chosen: a quarter more than everything, as sizes from the first samples are rough.
 cdef double LARGEST_LOSS = 1.25
-# Smallest determinant of two onsets' information, as a share of the product of its diagonal, with which both are fitted
-# together: below it they are one and the difference is rounding.
+# Two onsets are fitted together if the determinant of their information, as a share of the product of its diagonal, is
+# at least this: below it the two are the same up to rounding.
 cdef double SMALLEST_DETERMINANT = 1e-9
-# Share of its nats by which another onset or course of a fault may explain less and be right, by a factor of e.
-# Measured: the first three rows of losses leave 5 % of what they explain, as their lag differs from the fitted one.
+# Share of the nats by which another onset or course of the fault may explain less and still be right, by a factor of e.
+# Measured: in the first three rows of a loss 5 % of what it explains is left, as its lag differs from the fitted one.
 cdef double SIGNATURE_SHARE = 0.05
-# Share of nats that is rounding, and of what settled onsets share: an onset that has less of its own says nothing yet.
-# Sums of ROOM rows are exact to 1e-14 of themselves; chosen: a hundred times that.
+# Share of the nats, and of the sums common to all settled onsets, that is rounding: an onset with less information than
+# that is skipped. Sums over ROOM rows are exact to 1e-14; chosen: a hundred times that.
 cdef double NEARLY = 1e-12
-# Rows between two moves of what is kept of onsets. Chosen: a move costs each of them a share of a row's work, and sums
-# over so few rows lose no digit that counts.
+# Rows between two moves of the sums of all onsets. Chosen: a move then costs a fraction of a row's work, and sums over
+# so few rows lose no digit that counts.
 cdef enum:
     ROOM = 64
 
 
 cdef struct Fitted:
-    # how well a hypothesis explains the window at its best onset: nats, size with its variance and growth a second, and
-    # the onset's age
+    # The fit of a hypothesis to the window at its best onset: nats, size, variance of the size, its growth a second,
+    # age of the onset in rows.
     double nats, size, variance, growth
     Py_ssize_t age
 
 
 cdef inline Py_ssize_t back(Py_ssize_t newest, Py_ssize_t age, Py_ssize_t length) noexcept:
-    """Return the index in a ring of what is so many rows older than the newest, fewer than it has."""
+    """Return the ring index of the element that is ``age`` rows older than the newest (age < length)."""
     return newest - age if newest >= age else newest - age + length
 
 
 cdef void add(double* moment, double* information, const double* course, Py_ssize_t count, double pull, double weight,
               double along, double square) noexcept:
-    """Add s'z and s's of one output to as many onsets, less ``along`` and ``square`` that settled ones get."""
+    """Add s'z and s's of one output to the sums of ``count`` onsets, less the parts added to settled onsets."""
     cdef Py_ssize_t age
     for age in range(count):
         moment[age] += pull * course[age] - along
@@ -64,7 +66,7 @@ cdef void add(double* moment, double* information, const double* course, Py_ssiz
 
 
 cdef void add_mixed(double* mixed, const double* course, Py_ssize_t count, double weight, double square) noexcept:
-    """Add to as many onsets s's with the onset a row later, as :func:`add` does."""
+    """Add s's of an onset with the onset one row later to the sums of ``count`` onsets, as :func:`add` does."""
     cdef Py_ssize_t age
     mixed[0] -= square
     for age in range(1, count):
@@ -73,7 +75,7 @@ cdef void add_mixed(double* mixed, const double* course, Py_ssize_t count, doubl
 
 cdef void add_growing(double* moment, double* information, const double* since, Py_ssize_t count, const double* start,
                       const double* slope, const double* pull, const double* weight, Py_ssize_t outputs) noexcept:
-    """Add s'z and s's of outputs whose response grows evenly from a start."""
+    """Add s'z and s's of outputs whose response is a straight line over the age of the onset."""
     cdef Py_ssize_t i, age
     cdef double along = 0.0, along_slope = 0.0, square = 0.0, inner = 0.0, square_slope = 0.0
     for i in range(outputs):
@@ -89,11 +91,11 @@ cdef void add_growing(double* moment, double* information, const double* since, 
 
 cdef void compare(const double* moment, const double* information, const double* mixed, double settled_along,
                   double settled_square, Py_ssize_t first, Py_ssize_t end, Fitted* found) noexcept:
-    """Take each onset, and where ``mixed`` is given each time between it and the next, for the best if it is better."""
+    """Replace the best fit where an onset, or with ``mixed`` a time between it and the next one, is better."""
     cdef Py_ssize_t age
     cdef double along, square, cross, determinant, explained, early, late, nats = found.nats
     cdef double least = NEARLY * settled_square
-    # of the onset a row later
+    # Those of the onset a row later.
     cdef double next_along = 0.0, next_square = 0.0
     for age in range(max(first - 1, 0), end):
         along, square = moment[age] + settled_along, information[age] + settled_square
@@ -124,14 +126,14 @@ cdef void compare(const double* moment, const double* information, const double*
 
 
 cdef void move(double* total, Py_ssize_t count, Py_ssize_t start, double constant) noexcept:
-    """Add a constant to as many sums, and move them to where they are to start."""
+    """Add a constant to ``count`` sums and move them so that they begin at ``start``."""
     cdef Py_ssize_t i
     for i in range(count - 1, -1, -1):
         total[start + i] = total[i] + constant
 
 
 def _nonzero(matrix):
-    """Return the columns that are not zero, row after row, and where those of each row start."""
+    """Return the indices of the nonzero columns, row after row, and where those of each row begin."""
     used = np.asarray(matrix) != 0.0
     return np.nonzero(used)[1].astype(np.intp), np.concatenate([[0], np.cumsum(used.sum(axis=1))]).astype(np.intp)
 
@@ -139,9 +141,9 @@ def _nonzero(matrix):
 cdef class ChangeTest:
     """State of the test of one observer.
 
-    An observer of n outputs that are its states, s inputs and p outputs that are judged; H = 3 m + S hypotheses:
-    m actuators that lose effectiveness at once before their lag, as many behind it (a broken propeller), as many whose
-    loss grows by so much a second, and S additions to what is measured, of sensors that jump or drift.
+    An observer of n outputs that are its states, s inputs and p judged outputs; H = 3 m + S hypotheses: m actuators
+    that lose effectiveness suddenly before their lag, m behind the lag (a broken propeller), m whose loss grows
+    steadily, and S additions to the measurements, by sensors that jump or drift.
 
     Parameters
     ----------
@@ -156,29 +158,28 @@ cdef class ChangeTest:
     actuators : ndarray
         Index of the input of each actuator fault (m,).
     additions, grown : ndarray
-        What each addition, so many rows after its onset, makes of the whitened innovations (D, S, p), and the size that
-        it then has (D, S); from row D - 1 on they stay as they are.
+        The response of the whitened innovations to each addition, by the rows since its onset (D, S, p), and the size
+        that it then has (D, S); both are constant from row D - 1 on.
     owner : ndarray
         The fault that each addition stands for (S,); those of actuators are the first m.
     sudden : ndarray of bool
-        Which additions are there at once: they may begin between two rows (S,).
+        Which additions are sudden: they may begin between two rows (S,).
     faults : ndarray
-        Index among the observer's faults of those that are named, the first of all; others only keep a name from being
-        given.
+        Index among the observer's faults of those that may be named, the first ones; others only prevent a name.
     driven : bool
-        Whether r is what the inputs make of each output in a row, instead of the output itself.
+        Whether r is the change of each output in a row that the inputs cause, instead of the output itself.
     largest, rate_hz : float
-        Largest input that can be one, and rows in a second.
+        Largest possible input, and rows per second.
     whitening : ndarray
         Phi_1 ... Phi_P (P, p, p).
     variance : ndarray
         c_0, c_1 and c_2 of each judged output (p, 3).
     hold, window : int
-        Rows over which rates and changes of commands are held, and of the onsets that are tried.
+        Rows over which the maximum of rates and of changes of commands is held, and number of onsets that are tried.
     clip : float
         Largest |z| that counts.
     level_rows : float
-        Time constant in rows with which the noise's own level is followed.
+        Time constant, in rows, of the level of the noise.
     """
 
     cdef double[:, ::1] dynamics, curves, variance
@@ -189,34 +190,35 @@ cdef class ChangeTest:
     cdef Py_ssize_t n, s, p, m, S, H, L, P, D, depth, length, hold, window
     cdef double clip, follow, limit, rate_hz, step_ns
     cdef bint driven
-    # columns of matrices that are not zero, row after row, and where those of a row start
+    # Indices of nonzero columns of matrices, row after row, and where those of each row begin.
     cdef Py_ssize_t[::1] from_y, of_y, from_v, of_v, from_nu, of_nu, from_h, of_h
-    # what each hypothesis makes of e, by the age of its onset; that of losses is of the latest row (H, p, D)
+    # Response of e to each hypothesis by the age of its onset; that of losses is for the latest row (H, p, D).
     cdef double[:, :, ::1] course
-    # kept from row to row in rings, newest at ``row``: v, what the lag lets through, innovations, |y| and |B dv|
+    # Kept from row to row in rings, the newest at ``row``: v, v after the lag, innovations, |y| and |B dv|.
     cdef double[:, ::1] v, acting, innovation, excited
     cdef double[::1] last_y, most_excited, whitened, sigma, level
-    # z / sigma and 1 / sigma^2; time since an onset; where growing responses begin, and their slopes
+    # z / sigma and 1 / sigma^2; time since an onset; value and slope of responses that grow evenly.
     cdef double[::1] pull, weight, since, start, slope
     cdef uint8_t[::1] is_sudden
-    # Onsets that are tried: sums of s'z and s's by hypothesis, of s's with the onset a row later, and of |z|^2 / 2. An
-    # onset ``age`` rows older than the newest is at ``newest + age``; room for further ones is before it.
+    # Sums of the onsets that are tried, by hypothesis: s'z, s's, s's with the onset a row later; and |z|^2 / 2. An
+    # onset ``age`` rows older than the newest is at ``newest + age``; the room for new ones is before it.
     cdef double[:, ::1] moment, information, mixed
     cdef double[::1] energy
-    # how many outputs were known in as many rows, as the energy is kept
+    # Number of known outputs, summed up as the energy is.
     cdef double[::1] axes
-    # Beyond the settling of its response all onsets add the same: these sums are to be added to those of every onset.
+    # Once its response has settled every onset gets the same addend: these sums are to be added to those of every
+    # onset.
     cdef double[::1] settled_moment, settled_information
     cdef double settled_energy, settled_axes
-    # upper bound of the nats of each hypothesis; the best one of the row before and the best of another fault
+    # Upper bound of the nats of each hypothesis; the best one of the row before and the best of another fault.
     cdef double[::1] bound
     cdef Py_ssize_t[::1] best_age
     cdef Py_ssize_t leading[2]
     cdef Py_ssize_t begun, newest, commands
-    # whether each output was measured in the row before, and for how many rows its innovations have been known
+    # Whether each output was measured in the row before, and for how many rows its innovation has been known.
     cdef uint8_t[::1] has_y
     cdef Py_ssize_t[::1] known
-    # of each hypothesis, for how many rows all outputs that it shows in have told of it: its onsets are as young
+    # For how many rows all outputs of each hypothesis have been known: its onsets are not older than that.
     cdef Py_ssize_t[::1] told
     cdef int64_t row
 
@@ -236,7 +238,7 @@ cdef class ChangeTest:
         self.driven, self.limit, self.rate_hz, self.step_ns = driven, largest, rate_hz, 1e9 / rate_hz
         self.H, self.depth = 3 * self.m + self.S, self.P + self.L
         self.hold, self.window, self.clip = max(1, hold), max(2, window), clip
-        # The ring of v holds what the deepest lag needs, that of innovations what the whitening needs.
+        # The ring of v is as long as the deepest lag, that of innovations as the whitening.
         self.length = max(self.depth + 2, self.P + 1)
         self.v, self.acting = np.zeros((2, self.length, self.s))
         self.innovation = np.zeros((self.length, self.p))
@@ -267,7 +269,7 @@ cdef class ChangeTest:
         self.clear()
 
     def _impulse(self, dynamics, taps, whitening):
-        """Return F (P + taps, m, p): what a whole loss makes of v_j, n rows later, of the whitened innovation."""
+        """Return F (P + taps, m, p): the response of the whitened innovation, n rows later, to a total loss of v_j."""
         lost = np.zeros((self.P + len(taps), self.m, self.p))
         columns = -dynamics[:, self.n + np.asarray(self.actuators)].T
         for lag, tap in enumerate(taps):
@@ -277,7 +279,7 @@ cdef class ChangeTest:
         return np.ascontiguousarray(lost)
 
     cdef void clear(self) noexcept:
-        """Forget what came before a restart."""
+        """Forget the rows before a restart."""
         self.has_y[:] = 0
         self.level[:] = 1.0
         self.known[:] = 0
@@ -294,7 +296,8 @@ cdef class ChangeTest:
 
     def innovations(self, const double[:, :] u, const double[:, :] y, const uint8_t[:, :] usable,
                     const uint8_t[:] restart):
-        """Return what the noise is fitted to: innovations (N, p), r and d (N, 2 p), and where they are known (N,)."""
+        """Return the data for fitting the noise: innovations (N, p), r and d (N, 2 p), and where they are known
+        (N,)."""
         cdef Py_ssize_t k, i, count = u.shape[0]
         results = np.zeros((count, self.p)), np.zeros((count, 2 * self.p)), np.zeros(count, np.bool_)
         cdef double[:, ::1] found = results[0], excited = results[1]
@@ -313,8 +316,8 @@ cdef class ChangeTest:
             bint ahead=False):
         """Return the named fault (N,), -1 for none, with nats, size, its growth a second, sd and time of onset (N,).
 
-        The size of an actuator's fault is the share of its effect, negative where it lost; that of a sensor is given as
-        it is.
+        The size of an actuator's fault is the share of its effect, negative for a loss; that of a sensor is in its
+        units.
 
         Parameters
         ----------
@@ -323,11 +326,11 @@ cdef class ChangeTest:
         times_ns : int64 (N,)
             Vehicle times.
         usable : bool (N, p)
-            Which judged outputs are measured and complete: the others tell nothing, for or against any fault.
+            Which judged outputs are measured and complete; the others are no evidence for or against any fault.
         restart, armed : bool (N,)
             Samples at which the observer starts afresh, that are evidence.
         believed : float64 (N, a)
-            Signed size of each of the observer's faults as it believes it.
+            Signed estimate of each of the observer's faults.
         asked : float64 (N,), optional
             Fewest nats with which a row names a fault; 0 where it is left out.
         ahead : bool
@@ -349,7 +352,8 @@ cdef class ChangeTest:
                 known |= self.known[i] > self.P
             known &= self.commands > self.depth
             if known and (armed[k] or self.driven):
-                # A stream's noise is there before what counts as evidence; an actuator's is of its motion.
+                # The noise of a sensor's stream is known before its rows are evidence; that of an actuator's belongs to
+                # flight.
                 self.whiten()
             if not (known and armed[k]):
                 self.drop_onsets()
@@ -364,7 +368,7 @@ cdef class ChangeTest:
 
     cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, const uint8_t[:] usable,
                    bint restart, bint ahead) noexcept:
-        """Follow one row: v, the innovation nu = y - (A y- + B v- + c), and what excites the model's errors."""
+        """Process one row: v, the innovation nu = y - (A y- + B v- + c), and the excitation of the model's errors."""
         cdef Py_ssize_t i, j, d, row, before
         cdef double value, power, moved, command
         if restart:
@@ -375,13 +379,13 @@ cdef class ChangeTest:
         for j in range(self.s):
             value, power, command = 0.0, 1.0, u[k, j]
             if not fabs(command) < self.limit:
-                # What was commanded is not known as long as lag and whitening remember it.
+                # An absurd command is not known; nor is v, for as long as lag and whitening reach back to it.
                 self.commands, command = -1, 0.0
             for d in range(self.curves.shape[1]):
                 power *= command
                 value += self.curves[j, d] * power
             self.v[row, j] = value
-            # What the lag lets through: it acts on this row.
+            # v after the lag, which acts on this row.
             self.acting[row, j] = 0.0
             for d in range(min(self.L, self.commands + ahead)):
                 self.acting[row, j] += self.taps[d] * self.v[back(row, d + 1 - ahead, self.length), j]
@@ -416,7 +420,7 @@ cdef class ChangeTest:
         self.hold_excitation()
 
     cdef void hold_excitation(self) noexcept:
-        """Find the largest of the last rows: as many as there were since the restart, ``hold`` at most."""
+        """Find the largest excitation of the last ``hold`` rows, or of those since the restart."""
         cdef Py_ssize_t age, i, row, newest = self.row % self.hold
         self.most_excited[:] = 0.0
         for age in range(min(self.hold, self.commands)):
@@ -441,13 +445,13 @@ cdef class ChangeTest:
             self.sigma[i] = sqrt(
                 self.variance[i, 0] + self.variance[i, 1] * rate * rate + self.variance[i, 2] * moved * moved)
             square = e * e / (self.sigma[i] * self.sigma[i])
-            # Gusts that the fitted flights did not have; never below what they had.
+            # Gusts that the fitted flights did not have; never below the level of those flights.
             level = max(1.0, self.level[i])
             self.sigma[i] *= sqrt(level)
             self.level[i] += self.follow * (min(square, LEVEL_CLIP * (level if self.driven else 1.0)) - self.level[i])
             self.whitened[i] = e / self.sigma[i]
             length += self.whitened[i] * self.whitened[i]
-        # A row that no noise explains counts as one of larger noise: for and against every hypothesis alike.
+        # A row too large for noise counts as one with larger noise, for and against every hypothesis alike.
         weight = min(1.0, self.clip / sqrt(length)) if length > 0.0 else 1.0
         for i in range(self.p):
             self.pull[i] = self.weight[i] = 0.0
@@ -474,7 +478,7 @@ cdef class ChangeTest:
             self.settled_axes += self.known[i] > self.P
         self.settled_energy += half
         for h in range(self.H):
-            # No fit explains more of all rows than the best one of those before, and all of this one.
+            # No fit explains more of all rows than the best one of the rows before and all of this row.
             self.bound[h] += half
         self.follow_losses()
         for h in range(self.H):
@@ -482,11 +486,11 @@ cdef class ChangeTest:
             self.told[h] += 1
             for i in range(self.from_h[h], self.from_h[h + 1]):
                 if self.known[self.of_h[i]] <= self.P:
-                    # Rows after an onset alone make any size of a little noise.
+                    # Only rows after its onset would be known to a fault, and a little noise would fit any size.
                     self.told[h], self.bound[h] = 0, 0.0
 
     cdef void make_room(self) noexcept:
-        """Move what is kept of onsets to the end, without the one that leaves the window."""
+        """Move the sums of onsets to the end, without that of the onset that leaves the window."""
         cdef Py_ssize_t h, kept = min(self.begun, self.window - 1), start = self.window + ROOM - kept
         for h in range(self.H):
             move(&self.moment[h, 0], kept, start, self.settled_moment[h])
@@ -499,9 +503,9 @@ cdef class ChangeTest:
         self.settled_information[:] = 0.0
 
     cdef void follow_losses(self) noexcept:
-        """Find what losses of actuators since each onset make of this row.
+        """Find the response of this row to losses of actuators, by their onset.
 
-        Of onsets that lie further back than lag and whitening remember the response is the same, or grows evenly.
+        For onsets further back than lag and whitening reach, the response is constant or grows evenly.
         """
         cdef Py_ssize_t age, i, j, source, newest = self.row % self.length
         cdef double value, partial, behind, delayed
@@ -511,7 +515,7 @@ cdef class ChangeTest:
                 partial = behind = delayed = 0.0
                 for age in range(self.D):
                     if age < self.depth:
-                        # The response to a loss since ``age`` rows: v that came before it is not missing.
+                        # Response to a loss that began ``age`` rows ago: v from before the loss acts in full.
                         value = self.impulse[age, j, i] * self.v[back(newest, age + 1, self.length), source]
                         partial += value
                         delayed += self.since[age] * value
@@ -547,10 +551,10 @@ cdef class ChangeTest:
                         &self.slope[0], &self.pull[0], &self.weight[0], self.p)
 
     cdef Fitted fit(self, Py_ssize_t h) noexcept:
-        """Return how well a hypothesis explains the window: g = (s'z)^2 / (2 s's), the largest of all onsets.
+        """Return the best fit of a hypothesis to the window: g = (s'z)^2 / (2 s's), the largest of all onsets.
 
-        A sudden fault begins between two rows: that is a (1 - f) s of the earlier and f s of the later one, whose
-        shares are fitted together. So the variance of its size has that of its onset in it.
+        A sudden fault begins between two rows: its response is (1 - f) times that of the earlier onset plus f times
+        that of the later one. Both shares are fitted together, so the variance of the size contains that of the onset.
         """
         cdef Fitted best = Fitted(0.0, 0.0, 0.0, 0.0, 0)
         cdef const double* moment = &self.moment[h, self.newest]
@@ -567,10 +571,10 @@ cdef class ChangeTest:
         return best
 
     cdef void weigh(self, Py_ssize_t owner, Fitted* chosen) noexcept:
-        """Let size and variance be those of all onsets and hypotheses of a fault that explain nearly as much.
+        """Replace size and variance by those over all onsets and hypotheses of a fault that explain nearly as much.
 
-        A signature that is off by some per cent, as a lag's first rows are, makes others look worse that may be right:
-        they count with e^(nats / width) of what they explain less.
+        Where a signature is off by some per cent, as in the first rows of a lag, a right onset may explain less than
+        the best one: each counts with e^(-difference of nats / width).
         """
         cdef Py_ssize_t h, age
         cdef double width = max(1.0, SIGNATURE_SHARE * chosen.nats), most = chosen.nats
@@ -609,19 +613,20 @@ cdef class ChangeTest:
             chosen.variance = max(chosen.variance, second / total - chosen.size * chosen.size)
 
     cdef double grows_to(self, Py_ssize_t h, Py_ssize_t age) noexcept:
-        """Return the size that a hypothesis has at an age of its onset, for each of its own."""
+        """Return the fault's size at an age of its onset, per unit of the fitted size."""
         if h >= 3 * self.m:
             return self.grown[min(age, self.D - 1), h - 3 * self.m]
         return age / self.rate_hz if h >= 2 * self.m else 1.0
 
     cdef double prior(self, Py_ssize_t h, const Fitted* found, const double[:] believed) noexcept:
-        """Return the nats against what a hypothesis says. A loss that ends is no actuator that delivers more."""
+        """Return the nats taken from a hypothesis: those of an actuator that delivers more, unless it is the end of a
+        loss."""
         if h < 3 * self.m and found.size < 0.0 and not believed[self.faults[self.owner[h]]] < 0.0:
             return AGAINST_GAIN
         return 0.0
 
     cdef bint may_reach(self, double asked) noexcept:
-        """Return whether a hypothesis has so many nats; most rows tell by what is known of those before."""
+        """Return whether any hypothesis has so many nats; for most rows the upper bounds answer that."""
         cdef Py_ssize_t h
         for h in range(self.H):
             if self.bound[h] >= asked:
@@ -632,14 +637,14 @@ cdef class ChangeTest:
         return False
 
     cdef bint grows(self, Py_ssize_t actuator, const Fitted* found, double nats, const double[:] believed) noexcept:
-        """Return whether a loss grows, which no sudden one explains nearly as well."""
+        """Return whether a loss grows: then no sudden loss explains the window nearly as well."""
         cdef Py_ssize_t h
         cdef Fitted sudden
-        # What began before the window grows more slowly than from there.
+        # An onset before the window would have a smaller growth than the fit from the window's begin.
         if not self.depth <= found.age < self.window - 1 or nats < MARGIN:
             return False
         for h in range(actuator, 2 * self.m, self.m):
-            # What may as well have come at once, through a lag that is not quite that of the model, does not grow.
+            # No growth where a sudden loss, through a lag a little off the model's, explains as much.
             if self.bound[h] > nats - MARGIN:
                 sudden = self.fit(h)
                 if nats < sudden.nats - self.prior(h, &sudden, believed) + MARGIN:
@@ -647,14 +652,14 @@ cdef class ChangeTest:
         return True
 
     cdef Py_ssize_t judge(self, const double[:] believed, double asked, Fitted* chosen) noexcept:
-        """Return the fault whose change explains the window best, beyond doubt and with the nats asked, else -1."""
+        """Return the fault whose change explains the window best, by MARGIN and with the nats asked, else -1."""
         cdef Py_ssize_t k, h, owner, best = -1, runner = -1
         cdef double nats, first = -1e300, second = -1e300, unexplained, axes, grown
         cdef Fitted found, every
         if not self.may_reach(asked):
             return -1
         for k in range(-2, self.H):
-            # First those that are likely to leave no others a chance.
+            # First the two best hypotheses of the row before: with their nats most others need not be fitted.
             h = self.leading[k + 2] if k < 0 else k
             owner = self.owner[h]
             if self.bound[h] < (first if best >= 0 and owner == self.owner[best] else second):
@@ -677,7 +682,7 @@ cdef class ChangeTest:
         axes = self.axes[self.newest + chosen.age] + self.settled_axes
         if unexplained > UNEXPLAINED_SHARE * chosen.nats + NOISE_OF_AXIS * axes:
             return -1
-        # What the fit leaves says how well the signature is known: where it is more than noise, so is the size's error.
+        # Where the fit leaves more than noise, the signature is not well known, and the size's error is as much larger.
         chosen.variance *= max(1.0, 2.0 * unexplained / axes)
         if 2 * self.m <= best < 3 * self.m:
             chosen.growth = chosen.size
@@ -689,7 +694,7 @@ cdef class ChangeTest:
         if chosen.growth == 0.0:
             chosen[0] = every
         else:
-            # Of what grows the size is that of its own onset; how far the others are from it is part of its error.
+            # The size of a growing fault is that of its own onset; its error includes the distance to the other onsets.
             chosen.variance = every.variance + (every.size - chosen.size) * (every.size - chosen.size)
         if best < 3 * self.m and chosen.size > LARGEST_LOSS:
             return -1

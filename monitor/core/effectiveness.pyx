@@ -1,43 +1,46 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 """Least squares of an actuator's loss and offset under several memories, row after row.
 
-The rules themselves; :mod:`monitor.estimation.effectiveness` tells what they are for, in the same symbols.
+:mod:`monitor.estimation.effectiveness` explains the rules, in the same symbols.
 """
 
 from libc.math cimport INFINITY, NAN, exp, fabs, isnan, sqrt
 
 import numpy as np
 
-# Losses that can be one: no actuator loses more than everything, and one that seems to deliver much more than commanded
-# is out of trim. Chosen: a quarter more.
+# Range of a loss: none is more than everything, and an actuator that seems to deliver much more than commanded is out
+# of trim. Chosen: a quarter more.
 cdef double LEAST_LOSS = -0.25
 cdef double LARGEST_LOSS = 1.0
-# Standard errors within which health is certain: 95 of 100 times.
+# Standard errors within which a size counts as healthy: 95 of 100 times.
 cdef double ACQUITTAL = 2.0
-# Drop of the misfit, in squared standard errors, by which health has to explain better: three standard errors.
+# Health contradicts an accusation if it explains the data better by this much, in squared standard errors: three
+# standard errors.
 cdef double CONTRADICTION = 9.0
-# Information is 1 / variance of sizes near 1: this little is none, and only keeps a division defined.
+# Information is 1 / variance of sizes near 1: below this there is none; it avoids a division by zero.
 cdef double SMALLEST_INFORMATION = 1e-30
-# Time constant over which the run's own misfit is known, seconds: weather lasts for minutes, and half a second of a
-# fault that its sizes do not explain yet adds a fortieth of it.
+# Time constant of the run's own misfit, seconds: weather lasts for minutes, and half a second of a fault that the
+# fitted sizes do not explain yet adds a fortieth of it.
 cdef double MISFIT_S = 20.0
-# Largest square with which a row counts in the misfit, as a multiple of that: one absurd value must not hide a fault
-# for minutes, and makes it 1.4 times as large so. Chosen: twenty deviations; a storm of five is known within a second.
+# Largest square with which a row counts in the misfit, as a multiple of the misfit: otherwise one absurd value would
+# hide a fault for minutes; so it makes the misfit 1.4 times as large. Chosen: twenty deviations; a storm of five is
+# followed within a second.
 cdef double MISFIT_CLIP = 400.0
-# Most that errors of the model are taken to be, times those of the fitted flights; after one absurd value they fade
-# within 2 s. Chosen: those of a tumble at thirty times their rates; one of ten was seen.
+# Largest factor by which errors of the model may exceed those of the fitted flights; after one absurd value it fades
+# within 2 s. Chosen: that of a tumble at thirty times the fitted rates; ten times was seen.
 cdef double MOST_BEYOND = 1000.0
-# Time constant with which model errors outlast the motion that made them, seconds: rates that decay take about as long.
+# Time constant with which model errors outlast the motion that causes them, seconds: rates decay in about that time.
 cdef double BEYOND_S = 0.3
-# Effects are near 1; values a million times larger come from a broken sender, and their squares would drown the rest.
+# Effects are near 1. Values a million times larger come from a broken sender, and their squares would exceed all
+# others.
 cdef double LARGEST_EFFECT = 1e6
 
 cdef struct Doubt:
-    # How many times larger than in the fitted flights errors of the model are, and the variance of the noise beside.
+    # Factor by which errors of the model exceed those of the fitted flights, and that of the variance of the noise.
     double beyond, noise
 
 cdef struct Verdict:
-    # Evidence and relative are not a number where they are not known.
+    # Evidence and relative are NaN where they are not known.
     double loss, loss_error, offset, offset_error, score, evidence, relative
     bint is_loss
 
@@ -55,7 +58,7 @@ cdef class EffectivenessEstimator:
     Attributes
     ----------
     misfit : float
-        Mean square over the last 20 s of what loss and offset leave of f^, over noise^2.
+        Mean square, over the last 20 s, of the part of f^ that loss and offset leave, over noise^2.
     """
 
     cdef list memories
@@ -82,9 +85,9 @@ cdef class EffectivenessEstimator:
         """Process n rows; return the 9 columns of an ``EffectivenessRun`` (9, n).
 
         All is forgotten at a restart, and where evidence (``armed``) was missing for longer than the longest memory.
-        ``fault``, ``command`` and ``full`` (n,) are f^ of the observer, not smoothed further, u in the same units, and
-        m, the effect of a constant full deflection; ``beyond`` how many times larger than in the fitted flights the
-        model's errors may be, 1 inside of them.
+        ``fault``, ``command`` and ``full`` (n,) are the observer's f^, not smoothed further, u in the same units, and
+        m, the effect of a constant full deflection; ``beyond`` is the factor by which the model's errors may exceed
+        those of the fitted flights, 1 inside of them.
         """
         cdef Py_ssize_t k, count = times_ns.shape[0]
         cdef bint afresh
@@ -95,7 +98,7 @@ cdef class EffectivenessEstimator:
         result = np.full((9, count), NAN)
         cdef double[:, ::1] columns = result
         for k in range(count):
-            # All begins anew with the observer, and where evidence was missing for longer than the longest memory.
+            # Begin anew with the observer, and where evidence was missing for longer than the longest memory.
             afresh = restart[k] or not self.used or times_ns[k] - self.used_ns > self.longest_ns
             if armed[k] and is_effect(fault[k]) and is_effect(command[k]) and is_effect(full[k]):
                 if afresh:
@@ -125,17 +128,18 @@ cdef class EffectivenessEstimator:
         self.unconfirmed = self.hold
 
     cdef void skip(self) noexcept:
-        """Let the time of a row pass that is no evidence."""
+        """Let a row pass that is no evidence."""
         cdef Py_ssize_t i
         self.unconfirmed = min(self.unconfirmed + 1, self.hold)
         for i in range(len(self.memories)):
             (<Memory> self.memories[i]).add(0.0, 0.0, 0.0, 0.0, 1.0)
 
     cdef Doubt doubt(self, double fault, double beyond) noexcept:
-        """Return how many times larger than in the fitted flights errors of the model are now, and the noise in all.
+        """Return the factors by which errors of the model and the variance of the noise exceed those of the fitted
+        flights.
 
-        Errors of the model grow with how far the motion is beyond that of the fitted flights, and last a while; what a
-        run has more than those, gusts among it, shows in how badly the sizes of the longest memory explain f^.
+        Errors of the model grow with how far the motion is beyond that of the fitted flights, and last a while. Further
+        errors, gusts for instance, show in what the sizes of the longest memory leave of f^.
         """
         cdef Memory longest = <Memory> self.memories[len(self.memories) - 1]
         cdef double rest
@@ -153,7 +157,7 @@ cdef class EffectivenessEstimator:
         cdef Doubt doubt
         cdef Memory shortest = <Memory> self.memories[0]
         cdef Verdict verdict
-        # u and m lagged as f^ is behind the fault, and the speed of u.
+        # u and m with the same lag as f^ has behind the fault, and the rate of change of u.
         if not self.lagged:
             self.u, self.m, self.lagged = command, full, True
         step = gain * (command - self.u)
@@ -163,7 +167,7 @@ cdef class EffectivenessEstimator:
         self.larger = doubt.beyond * sqrt(doubt.noise)
         for i in range(count):
             (<Memory> self.memories[i]).add(fault, self.u, self.m, step * self.rate_hz, doubt.beyond)
-        # The shortest memory that knows decides; where none does, the longest one's sizes are shown.
+        # The shortest memory that has a verdict decides; where none has, the sizes of the longest one are returned.
         for i in range(count):
             verdict = (<Memory> self.memories[i]).judge(doubt)
             if not isnan(verdict.evidence):
@@ -182,7 +186,7 @@ cdef class EffectivenessEstimator:
         return verdict
 
     cdef double confirmed(self, Verdict* verdict, Doubt doubt) noexcept:
-        """Return the evidence; zero once nothing could have confirmed an accusation for as long as it is held."""
+        """Return the evidence; zero after ``hold`` rows in which no memory could have confirmed the accusation."""
         cdef Py_ssize_t i
         cdef Memory shortest = <Memory> self.memories[0]
         if is_accusation(verdict):
@@ -204,7 +208,7 @@ cdef class Memory:
     def __init__(self, rule, memory_s, rate_hz):
         self.length = memory_s * rate_hz
         self.forget = exp(-1.0 / self.length)
-        # Noise that is slower than the memory does not average out in it, nor does it grow.
+        # Noise slower than the memory does not average out in it, but does not grow either.
         self.inflation = min(rule.inflation, self.length)
         self.weight = 1.0 / (rule.noise * rule.noise * self.inflation)
         self.loss_doubt, self.offset_doubt, self.timing_s = rule.loss_doubt, rule.offset_doubt, rule.timing_s
@@ -213,7 +217,7 @@ cdef class Memory:
 
     cdef void clear(self) noexcept:
         self.uu = self.um = self.mm = self.bu = self.bm = 0.0
-        # Moments of u', the speed of u, with the regressors.
+        # Moments of u', the rate of change of u, with the regressors.
         self.su = self.sm = 0.0
 
     cdef void add(self, double fault, double u, double m, double speed, double beyond) noexcept:
@@ -228,7 +232,8 @@ cdef class Memory:
         self.sm = forget * self.sm + weight * m * speed
 
     cdef Verdict judge(self, Doubt doubt) noexcept:
-        """Return loss alone and offset alone, each tested against its own error, and the evidence of the larger."""
+        """Return loss alone and offset alone, each tested against its own standard error, and the evidence of the
+        better one."""
         cdef Verdict v
         cdef bint matters
         cdef double loss_doubt = doubt.beyond * self.loss_doubt, offset_doubt = doubt.beyond * self.offset_doubt
@@ -252,7 +257,7 @@ cdef class Memory:
         return v
 
     cdef double rest(self, double fault, double u, double m) noexcept:
-        """Return what of f^ neither loss and offset together nor health explain, whichever explains more."""
+        """Return the part of f^ that loss and offset together leave, or f^ itself where that is smaller."""
         cdef double determinant = self.uu * self.mm - self.um * self.um, loss, offset, rest
         if not determinant > SMALLEST_INFORMATION:
             return fault
@@ -262,12 +267,13 @@ cdef class Memory:
         return rest if fabs(rest) < fabs(fault) else fault
 
     cdef double error(self, double own, double other, double speed, double doubt, double noise) noexcept:
-        """Return the standard error of one size fitted alone: noise, its own doubt, the other's, and the timing."""
+        """Return the standard error of one size fitted alone: noise, its model error, that of the other size, and
+        timing."""
         cdef double of_other = other / own, of_timing = speed * self.timing_s / own
         return sqrt(noise / own + doubt * doubt + of_other * of_other + of_timing * of_timing)
 
     cdef double loss_beside_offset(self, Doubt doubt) noexcept:
-        """Return -loss of the fit of both where it is certain and plausible, else not a number."""
+        """Return -loss of the joint fit where it is certain and plausible, else NaN."""
         cdef double determinant = self.uu * self.mm - self.um * self.um, beside, slip, error
         if not determinant > SMALLEST_INFORMATION:
             return NAN
@@ -277,20 +283,20 @@ cdef class Memory:
         return -beside if self.certainty * error <= fabs(beside) and plausible(beside, error) else NAN
 
     cdef bint contradicts(self, Verdict* verdict, Doubt doubt) noexcept:
-        """Return whether the accusation explains worse than health what this memory holds: the drop of the misfit."""
+        """Return whether health explains the data of this memory better than the accusation does."""
         if verdict.is_loss:
             return verdict.loss * (verdict.loss * self.uu - 2.0 * self.bu) > CONTRADICTION * doubt.noise
         return verdict.offset * (verdict.offset * self.mm - 2.0 * self.bm) > CONTRADICTION * doubt.noise
 
     cdef double reach(self, Memory shortest, Verdict* verdict) noexcept:
-        """Return how many standard errors the accusation would be here if things went on as lately."""
+        """Return how many standard errors the accusation would be in this memory if the excitation of late went on."""
         cdef double size = verdict.loss if verdict.is_loss else verdict.offset
         cdef double lately = shortest.uu if verdict.is_loss else shortest.mm
         return fabs(size) * sqrt(lately * shortest.inflation / shortest.length * self.length / self.inflation)
 
 
 cdef bint is_effect(double value) noexcept:
-    """Return whether a value can be an effect: those are near 1, while a network may send anything."""
+    """Return whether a value can be an effect, which is near 1: a network may send anything."""
     return fabs(value) < LARGEST_EFFECT
 
 
@@ -299,12 +305,12 @@ cdef bint is_accusation(Verdict* verdict) noexcept:
 
 
 cdef double share_of(Verdict* verdict) noexcept:
-    """Return the share of the command that is missing, negative, where it is known."""
+    """Return the share of the command that is missing, as a negative number, where it is known."""
     if isnan(verdict.relative) and verdict.is_loss and is_accusation(verdict):
         return -verdict.loss
     return verdict.relative
 
 
 cdef bint plausible(double loss, double error) noexcept:
-    """Return whether a loss can be one: none is more than everything, or makes an actuator deliver far too much."""
+    """Return whether a loss can be real: at most everything, and not far more than commanded, within its error."""
     return error < INFINITY and LEAST_LOSS <= loss <= LARGEST_LOSS + ACQUITTAL * error

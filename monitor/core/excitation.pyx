@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""How many times larger than at rest the errors of a model are expected to be, row after row.
+"""The factor by which a model's errors are expected to be larger than at rest, row after row.
 
-:mod:`monitor.estimation.excitation` tells what it is for, in the same symbols.
+:mod:`monitor.estimation.excitation` explains the rule, in the same symbols.
 """
 
 from libc.math cimport acos, cos, fabs, sqrt
@@ -16,15 +16,15 @@ cdef class Excitation:
     Parameters
     ----------
     outputs : ndarray
-        Indices of the outputs that are judged.
+        Indices of the judged outputs.
     variance : ndarray
         c_0, c_1, c_2, b_1, b_2, R and D (7,).
     hold : int
-        Rows over which the largest counts.
+        Rows over which the maximum is taken.
     inputs : int
         Number of inputs.
     outside : float
-        How many times further than in the fitted flights a row has to be to count as outside.
+        Multiple of the fitted flights' largest from which a row counts as outside.
 
     Attributes
     ----------
@@ -100,16 +100,16 @@ cdef class Beyond:
     columns : ndarray
         Of roll, pitch, three body rates and the speed among the signals (6,); -1: not there.
     keep : float
-        Share of the excess that is left a row later.
+        Factor by which the excess decays per row.
     outside : float
-        Share of what was fitted from which a row counts as outside.
+        Multiple of the fitted value from which a row counts as outside.
 
     Attributes
     ----------
     factor : float
-        How many times further than ever before; of tilt and rates alone.
+        Factor by which tilt or rates exceed those of the fitted flights.
     reached : tuple
-        Largest tilt, rate and speed lately, each faded as the factor is.
+        Largest tilt, rate and speed lately, which decay as the factor does.
     rows : int
         How many rows were outside.
     furthest : tuple
@@ -161,12 +161,12 @@ cdef class Beyond:
                 now[2] = signals[k, self.columns[5]]
             excess, out = 0.0, False
             for i in range(3):
-                # What is no number counts for nothing.
+                # NaN counts as 0.
                 now[i] = now[i] if now[i] > 0.0 else 0.0
                 self.far[i] = max(now[i], self.far[i])
                 out |= self.fitted[i] > 0.0 and now[i] > self.outside * self.fitted[i]
                 self.most[i] = max(now[i], self.keep * self.most[i])
-                # A speed is the GPS's own word, which shall not decide how far it is believed.
+                # The speed comes from the GPS, which must not decide how far it is believed.
                 if i < 2 and self.fitted[i] > 0.0:
                     excess = max(excess, now[i] / self.fitted[i] - 1.0)
             self.rows += out
