@@ -1,8 +1,8 @@
 # cython: language_level=3
-"""What sampling uses of the watch for two senders of one stream."""
+"""The declarations of the watch for two senders of one stream, for sampling."""
 
 cdef enum:
-    # Findings that are an attack where they come close together.
+    # So many findings close together are an attack.
     FINDINGS = 8
 
 

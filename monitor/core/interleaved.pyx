@@ -1,22 +1,22 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""Two senders of one stream of messages, by values that come more often than before and contradict each other.
+"""Finds two senders of one stream of messages: values come more often than before and contradict each other.
 
-A value between two others that agree, far from both, is noise, a jolt, or another sender's. Noise and jolts keep the
-stream's period: the values around them are two periods apart. Where another sender's comes in between they are one. So
-a row is another sender's where its neighbours are at most one and a half usual periods apart, and it differs from
-both by more than they from each other, and by much more than rows usually differ from the line between those around
-them: over the last seconds, and now, where senders take turns of the second, third or fourth on either side. Two
-different rows of one time are another sender's, too.
+A value far from its two neighbours, which agree, is noise, a jolt, or another sender's. With noise and jolts the stream
+keeps its period: the neighbours are two periods apart. If another sender's value comes in between, they are one period
+apart. So a row is another sender's if its neighbours are at most one and a half usual periods apart and it differs from
+both by more than they differ from each other, and by much more than rows usually differ from the line between their
+neighbours. "Usually" is over the last seconds and in the present rows, where the neighbours are those one to four rows
+away, as senders may take turns. Two different rows with one stamp are another sender's, too.
 
-A forged value now and then is told by the rows that keep their period: one that comes between two of them, and is
-several times further from the line between these than any of them from that between those around it, is another's. A
-single one is enough: damage and jolts change a row that comes anyway, a second radio or another rate brings no value
-that contradicts (none in 94 recordings, nor in 564 runs of them with loss, bursts, jitter or pauses).
+A single forged value is found by the rows that keep their period: a value between two of them is another sender's if it
+is several times further from the line between these than any of them is from the line between its own neighbours. One
+such value is enough: damage and jolts change a row that comes anyway, and a second radio or another rate brings no
+value that contradicts (none in 94 recordings, nor in 564 runs of them with loss, bursts, jitter or pauses).
 
-What is usual is followed slowly, and not while there are findings: the period by a median, differences by a mean of
-those that are not zero, as values may be held or counted in steps. A link that changes its rate, or two radios that
-bring the same vehicle's values, duplicates or not, bring no values that contradict each other. Where the
-first rows fall into two groups by turns, far apart, the larger group is what is usual.
+The usual period (a median) and the usual differences (a mean of those that are not zero, as values may be held or
+rounded) are followed slowly, and not while there are findings. A link that changes its rate, or two radios that bring
+the same vehicle's values, bring no values that contradict each other. Where the first rows are two groups that take
+turns and lie far apart, the larger group gives the usual values.
 """
 
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
@@ -24,34 +24,35 @@ from libc.math cimport INFINITY, fabs, fmod
 from libc.string cimport memcpy, memmove
 
 cdef enum:
-    # Rows that are remembered. Chosen: of 16, six may be jumps to another sender's before the median is one.
+    # Rows that are kept. Chosen: up to six of 16 may be jumps to another sender's value before their median is one.
     ROWS = 16
-    # The row that is judged, two before the newest: as late as a row may come and still have its place.
+    # Index of the judged row, two before the newest: a row may come so late and still be sorted in.
     JUDGED = 13
-    # Rows of the smaller of two groups among the first. Chosen: one or two of them may be a jolt.
+    # Fewest rows of the smaller of two groups among the first rows. Chosen: one or two of them may be a jolt.
     FEWEST = 3
-    # Senders who take turns: one forged value beside one to three true ones.
+    # Largest distance of neighbours: one forged value per one to three true ones.
     LAGS = 4
 
-# Times the usual difference from the line between two others: of white noise the median is 0.83 standard deviations, so
-# 6.6 of them, where that difference has 1.22.
+# A row contradicts if it is this many times further from the line between its neighbours than usual. Of white noise the
+# median distance is 0.83 standard deviations, so these are 6.6 of them; the distance itself has 1.22.
 cdef double FAR = 8.0
-# Neighbours agree where they differ by less than this share of what the row is off. Where a value jumps and stays they
-# differ by twice that; chosen: four times less, so that a quick vehicle's still agree.
+# Neighbours agree if they differ by less than this share of the row's distance from their line. Where a value jumps and
+# stays they differ by twice that distance; chosen: a quarter of that, so that those of an agile vehicle still agree.
 cdef double AGREE = 0.5
-# Longest way between the neighbours, periods: one is what an attack leaves, two what a single sender has.
+# Longest time between the neighbours, in periods: with an attack it is one, with a single sender two.
 cdef double EXTRA = 1.5
-# Share of a period by which the steps of a stream that keeps it differ: PX4's loop of 4 ms makes 8 to 12 ms of 10.
+# Share of a period by which the steps of a regular stream differ: PX4's loop of 4 ms turns 10 ms into 8 to 12.
 cdef double JITTER = 0.25
-# Rows that keep the period around an intruder, at least. Chosen: four have been compared with those around them.
+# Fewest rows that keep the period around an intruder. Chosen: four of them have been compared with their neighbours.
 cdef int KEPT = 6
-# Time in which what is usual follows a change, nanoseconds. Chosen: as long as the window of findings.
+# Time constant of the usual period and differences, nanoseconds. Chosen: as long as the window of findings.
 cdef double FOLLOW = 1e10
-# Times the usual difference, as which a larger one is followed: chosen, so that few forged ones move it little.
+# Largest difference with which a row counts in the usual one, as a multiple of it. Chosen: few forged rows move it
+# little.
 cdef double MOST = 4.0
 cdef long long WINDOW = 10_000_000_000
-# Rows within which as many findings are an attack: an eighth of all. Measured on links that become up to twenty times
-# as fast, lose or hold back (tests/test_monitor_interleaved.py): noise made four within 10 s, never eight in 64
+# FINDINGS findings within so many rows are an attack: an eighth of all. Measured on links that become up to twenty
+# times as fast, lose or hold back (tests/test_monitor_interleaved.py): noise made four within 10 s, never eight in 64
 # rows.
 cdef long long SHARE = 64
 
@@ -62,7 +63,7 @@ cdef class Interleaved:
     Parameters
     ----------
     periods : Sequence[float]
-        Of each value the range after which it begins anew, 0 where it does not.
+        For each value the range after which it wraps; 0 where it does not wrap.
     """
 
     def __cinit__(self, periods):
@@ -85,7 +86,7 @@ cdef class Interleaved:
         self._count = 0
 
     cdef bint take(self, long long stamp, long long received, const double* row) noexcept:
-        """Take a row, values that are not there NaN; return whether it shows two senders."""
+        """Process a row (NaN: a missing value); return whether it shows two senders."""
         cdef int place = self._count, i
         cdef bint other = False
         if self._plural:
@@ -96,7 +97,7 @@ cdef class Interleaved:
             for i in range(self._width):
                 other |= fabs(row[i] - self._rows[(place - 1) * self._width + i]) > 0.0
             if other and self._usual == 0.0:
-                # It always brings several of one time: what of several devices came under one name.
+                # This stream always brings several rows with one stamp: several devices send under one name.
                 self._plural = True
             if not other or self._plural:
                 return False
@@ -119,7 +120,7 @@ cdef class Interleaved:
             self._count += 1
         self._stamps[place] = stamp
         memcpy(self._rows + place * self._width, row, self._width * sizeof(double))
-        # A row that is so late leaves the judged one, which was judged before, where it is.
+        # A row that is so late leaves the judged row in its position, where it was judged before.
         if self._count < ROWS or place < JUDGED:
             return False
         if self._usual == 0.0:
@@ -136,7 +137,8 @@ cdef class Interleaved:
         return False
 
     cdef int first_rows(self) noexcept:
-        """Return how many of the first rows one sender sent; learn what is usual where two do by turns."""
+        """Return how many of the first rows one sender sent; find the usual differences where two senders take
+        turns."""
         cdef double largest, spread, apart, size
         cdef int[2] last, count
         cdef int i, at, k, before, turns
@@ -144,8 +146,8 @@ cdef class Interleaved:
             largest, spread, apart = 0.0, 0.0, INFINITY
             for at in range(1, ROWS):
                 largest = max(largest, fabs(self.step(at - 1, at, i)))
-            # The first row begins a group, the first that is far from its newest row another one; each of the others
-            # goes to the group whose newest row is nearer.
+            # The first row begins a group; the first row far from the newest of that group begins another one. Each
+            # further row goes to the group whose newest row is nearer.
             last[0], last[1], count[0], count[1], before, turns = 0, -1, 1, 0, 0, 0
             for at in range(1, ROWS):
                 size = fabs(self.step(last[0], at, i))
@@ -167,7 +169,7 @@ cdef class Interleaved:
         return ROWS
 
     cdef void follow(self, int at) noexcept:
-        """Follow what is usual."""
+        """Update the usual period and differences."""
         cdef double share = min(self._usual / FOLLOW, 0.5), off
         cdef int i
         self._usual *= 1.0 + (share if <double>(self._stamps[at] - self._stamps[at - 1]) > self._usual else -share)
@@ -179,19 +181,19 @@ cdef class Interleaved:
                 self._typical[i] += share * (min(off, MOST * self._typical[i]) - self._typical[i])
 
     cdef bint find(self, long long received) noexcept:
-        """Count a finding; return whether they are an attack."""
+        """Count a finding; return whether the findings are an attack."""
         memmove(self._found, self._found + 1, (FINDINGS - 1) * sizeof(long long))
         memmove(self._found_at, self._found_at + 1, (FINDINGS - 1) * sizeof(long long))
         self._found[FINDINGS - 1], self._found_at[FINDINGS - 1] = received, self._taken
         return self.lately(0, received)
 
     cdef bint lately(self, int which, long long received) noexcept:
-        """Return whether one of the last findings is not long ago."""
+        """Return whether the finding with an index is recent."""
         cdef long long gone = received - self._found[which]
         return self._found[which] != 0 and self._taken - self._found_at[which] < SHARE and 0 <= gone < WINDOW
 
     cdef bint contradicts(self, int at) noexcept:
-        """Return whether a row that comes on top of the others contradicts its neighbours."""
+        """Return whether an additional row contradicts its neighbours."""
         cdef double apart, off
         cdef int i, lag
         if <double>(self._stamps[at + 1] - self._stamps[at - 1]) > EXTRA * self._usual:
@@ -207,13 +209,13 @@ cdef class Interleaved:
         return False
 
     cdef bint intrude(self, int before, int after, long long stamp, const double* row, long long received) noexcept:
-        """Return whether a row between two others is an intruder."""
+        """Return whether a row between two others is an intruder: an additional one far from the line between them."""
         cdef int[ROWS] own
         cdef double span = <double>(self._stamps[after] - self._stamps[before]), share, most, off
         cdef int i, k, count
         if self._usual == 0.0 or (before < after and fabs(span - self._usual) > JITTER * self._usual):
             return False
-        # Rows that come in every period are those of a link that became faster.
+        # Where additional rows come in every period the link became faster.
         if before and self._stamps[before] - self._stamps[before - 1] < (1.0 - JITTER) * self._usual:
             return False
         if after + 1 < self._count and self._stamps[after + 1] - self._stamps[after] < (1.0 - JITTER) * self._usual:
@@ -234,7 +236,8 @@ cdef class Interleaved:
         return False
 
     cdef int period_rows(self, int before, int after, int* own) noexcept:
-        """Write the rows, one period apart, that two of them belong to, the newest first; return how many there are."""
+        """Write the indices of the rows, one period apart, before two of them, newest first; return how many there
+        are."""
         cdef double period = self._usual, apart, nearest
         cdef int count = 1, at, next_own
         own[0] = after
@@ -267,13 +270,13 @@ cdef class Interleaved:
         return sizes[count // 2]
 
     cdef double off(self, int at, int lag, int column) noexcept:
-        """Return how far a value is from the line between those so far before and behind it."""
+        """Return how far a value is from the line between those ``lag`` rows before and after it."""
         cdef double gone = <double>(self._stamps[at] - self._stamps[at - lag])
         cdef double span = <double>(self._stamps[at + lag] - self._stamps[at - lag])
         return fabs(self.step(at - lag, at, column) - gone / span * self.step(at - lag, at + lag, column))
 
     cdef double step(self, int first, int second, int column) noexcept:
-        """Return the step from one row to another, of a value that wraps the shorter way round."""
+        """Return the step from one row to another; of a value that wraps, the shorter way round."""
         return turned(
             self._rows[second * self._width + column] - self._rows[first * self._width + column], self._periods[column]
         )

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""Commands behind the delay and lag of their actuators, and means over groups of samples, row by row."""
+"""Commands behind the delay and lag of their actuators, and means over groups of samples, row after row."""
 
 import numpy as np
 
@@ -42,7 +42,7 @@ def exponential_mean(const double[:, :] values, double keep):
 
 
 cdef class _Lag:
-    """Transport delay (between samples by a straight line) and first-order lag of one signal."""
+    """Transport delay (linear between samples) and first-order lag of one signal."""
 
     cdef double* _past
     cdef Py_ssize_t _size, _newest
@@ -61,7 +61,7 @@ cdef class _Lag:
         PyMem_Free(self._past)
 
     cdef void restart(self, double value) noexcept:
-        """Take the signal to have been at ``value`` for long."""
+        """Begin as after a long time at ``value``."""
         cdef Py_ssize_t i
         for i in range(self._size):
             self._past[i] = value
@@ -72,7 +72,7 @@ cdef class _Lag:
         cdef double delayed
         self._newest = (self._newest + 1) % self._size
         self._past[self._newest] = value
-        # The oldest came a sample more than the whole delay ago.
+        # The oldest is one sample older than the whole part of the delay.
         delayed = (1.0 - self._part) * self._past[(self._newest + 2) % self._size] + self._part * self._past[
             (self._newest + 1) % self._size]
         self._value = self._keep * self._value + (1.0 - self._keep) * delayed
@@ -82,15 +82,15 @@ cdef class _Lag:
 cdef class LaggedMeans:
     """Means over groups of consecutive samples, the groups fixed to the grid, the first inputs lagged before.
 
-    The mean of inputs and outputs alike leaves a linear relation between them as it is and keeps what is faster
-    than the new grid out of it.
+    The mean of both inputs and outputs keeps a linear relation between them and suppresses what is faster than the new
+    grid.
 
     Parameters
     ----------
     timing : Sequence[tuple[float, float]]
         Delay and lag of each of the first inputs, seconds.
     rate_hz : float
-        Samples per second that come in.
+        Incoming samples per second.
     size : int
         Samples of a group.
     inputs, outputs : int
@@ -114,16 +114,17 @@ cdef class LaggedMeans:
         PyMem_Free(self._sum)
 
     def run(self, samples, columns, evidence):
-        """Go on by samples; return the means, each where its group ends.
+        """Process samples; return the means, each at the end of its group.
 
         Parameters
         ----------
         samples : Samples
-            Their times and flags; one marked ``restart`` forgets lag and group.
+            Their times and flags; at one marked ``restart`` lag and group begin anew.
         columns : Sequence[NDArray[np.float64]]
-            u and behind it y, one column each (n,).
+            u, then y, one column each (n,).
         evidence : NDArray[np.bool_]
-            Where the sample is evidence (n,); a mean with another one in it is none: its channels count as ``lost``.
+            Which samples are evidence (n,). A mean that contains another one is no evidence: its channels count as
+            ``lost``.
         """
         cdef const double[:, ::1] given = np.column_stack(columns)
         cdef const long long[:] index = samples.index, vehicle = samples.vehicle_time_ns

@@ -1,32 +1,34 @@
 # cython: language_level=3
-"""What the strapdown transform uses of the errors of straight lines."""
+"""The declarations of the errors of straight lines, for the strapdown transform."""
 
 cdef enum:
-    # Spans over which errors are measured, 2, 4, ... ticks, and the longest of them.
+    # Number of spans, of 2, 4, ... ticks, and the longest.
     SPANS = 6
     LONGEST = 1 << SPANS
-    # Accelerations north, east and down, and body rates; behind them what the attitude turns otherwise than these.
+    # Signals: accelerations north, east and down, and body rates. Errors: theirs, and those of the attitude's turns.
     SIGNALS = 6
     ERRORS = 9
 
 
 cdef inline double spread_between(double change) noexcept:
-    """Return the variance of what lies between two samples: their mean, give or take a quarter of their difference."""
+    """Return the variance of the mean between two samples, if it may differ from theirs by a quarter of their
+    difference."""
     return (1.0 / 48.0) * change * change
 
 
 cdef class LineErrors:
     cdef double _dt
-    # Of the latest ticks: values of the signals, their integrals, and those of the attitude less the gyros'.
+    # Of the latest ticks: the signals; their integrals, and the turns of the attitude less the integrals of the rates.
     cdef double[LONGEST + 1][ERRORS] _value
     cdef double[LONGEST + 1][ERRORS] _integral
-    # Means of squares by span; of the acceleration down those of the line, of its product with the integral, of that.
+    # Mean squares of the errors by span; for the acceleration down those of line, line times integral, and integral.
     cdef double[SPANS][ERRORS] _variance
     cdef double[SPANS][3] _down
     cdef long long[SPANS] _count
-    # Sums of what the attitude turned otherwise times the change of the rate, and of the square of that.
+    # Sums of (turn of the attitude - integral of the rate) times the change of the rate, and of the square of that
+    # change.
     cdef double[2] _early
-    # The newest tick, and for how many ticks before it all was measured; -1: it was not itself.
+    # The newest tick, and the number of measured ticks before it; -1: it was not measured itself.
     cdef long long _tick, _measured
     cdef void restart(self) noexcept
     cdef void follow(self, const double* value, const double* turned, bint lined) noexcept

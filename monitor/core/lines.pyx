@@ -1,46 +1,46 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 # cython: auto_pickle=False
-"""What straight lines over lost measurements of an IMU hide, measured on its own samples.
+"""Errors of straight lines over lost measurements of an IMU, measured on its own samples.
 
-Where measurements are lost for a time T, a signal s is integrated along the straight line between its neighbours. Its
-integral is then off by
+Where measurements are lost for a time T, a signal s is integrated along the straight line between its neighbours. The
+error of the integral is
 
     e(T) = integral of s over T - T (s(0) + s(T)) / 2,
 
-whose variance depends on how s really varies within T: it grows with T^6 where s bends slowly, with T^3 where s is a
-random walk (q T^3 / 12), with T^2 beyond the time in which s forgets itself. So it is not modelled but measured:
-wherever all of T is measured e(T) is known, for T of 2, 4, 8, ... ticks, and the mean of its square is followed.
-Between these T it lies on a line of the logarithms.
+whose variance depends on how s varies within T: it grows with T^6 where s bends slowly, with T^3 where s is a random
+walk (q T^3 / 12), with T^2 beyond the correlation time of s. So it is measured, not modelled: wherever all of T was
+measured e(T) is known, for T of 2, 4, 8, ... ticks, and the mean of its square is followed. Between these T the
+variance is interpolated linearly in logarithms.
 
-Of body rates w there is a second witness: the attitude at both ends tells by how much the vehicle turned in between,
-whatever it did, but for what its estimator corrects, and that it is earlier by tau than the gyros, which autopilots
-filter (12 ms in ArduPilot at 100 Hz):
+For body rates w the attitude is a second source: at both ends it tells by how much the vehicle turned in between, but
+for the corrections of its estimator, and for its time, which is earlier than that of the gyros by tau, as autopilots
+filter these (12 ms in ArduPilot at 100 Hz):
 
     turn of the attitude = integral of w over T + tau (w(T) - w(0)) + error.
 
-tau is the regression over all of the flight; the variance of the rest is measured in the same way.
+tau is the regression over the whole flight; the variance of the error is measured in the same way.
 """
 
 from libc.math cimport exp, fmax, fmin, log
 from libc.string cimport memcpy, memset
 
-# Evidence of so many seconds is remembered. Chosen: some manoeuvres, of which the next may fall into a gap.
+# Memory of the means, seconds. Chosen: some manoeuvres, the next of which may fall into a gap.
 cdef double _REMEMBERED_S = 60.0
-# What is assumed before anything was measured: errors of a velocity, m/s, of an angle by gyros and by the attitude,
-# rad, for a time in seconds to these powers. Measured on five flights of two autopilots (root of the mean square in
-# 0.08 s, the quietest and the briskest): 0.0015 to 0.09 m/s, 0.2 to 3.3 mrad, 0.2 to 0.4 mrad.
+# Assumed errors before anything was measured: factor and power of the time T in seconds, of velocities (m/s), of angles
+# by gyros and of angles by the attitude (rad). Measured on five flights of two autopilots (root mean square in 0.08 s,
+# the quietest and the most agile): 0.0015 to 0.09 m/s, 0.2 to 3.3 mrad, 0.2 to 0.4 mrad.
 cdef double[3] _AT_FIRST = [1.0, 0.3, 0.03]
 cdef double[3] _POWER = [1.5, 1.5, 1.0]
-# Chosen: it counts as much as two spans, so that a chance first one does not pass for certainty.
+# Weight of the assumption, in spans. Chosen: one first span with a small error by chance must not count as certainty.
 cdef double _ASSUMED = 2.0
-# Before that the acceleration down is taken for none, and its integral to be off by this, m/s, for a second to the
-# power of a half: twice what it was at most on four healthy flights, over 0.1 to 1 s (0.04 to 0.42).
+# Before anything was measured a line tells nothing of the acceleration down, whose integral has this error, m/s, times
+# the square root of the time in seconds: twice the largest on four healthy flights, over 0.1 to 1 s (0.04 to 0.42).
 cdef double _DOWN_AT_FIRST = 1.0
-# Index of the span by which tau is measured, 4 ticks: it came out alike over 2 to 32. Square of the change of a rate,
-# rad/s, below which it is taken for none. Chosen: a turn of half a radian per second, in which 12 ms show as 6 mrad.
+# Index of the span by which tau is measured, 4 ticks: results over 2 to 32 ticks are alike. Initial sum of squared
+# changes of rates (rad/s)^2, with tau = 0. Chosen: a turn at half a radian per second, in which 12 ms make 6 mrad.
 cdef int _EARLY_SPAN = 1
 cdef double _TURNS = 0.25
-# Power of T with which variances grow beyond the longest span: that of random walks.
+# Power of T with which variances grow beyond the longest span: that of a random walk.
 cdef double _BEYOND = 3.0
 
 cdef enum:
@@ -51,7 +51,7 @@ cdef enum:
 
 
 cdef class LineErrors:
-    """The variances.
+    """Variances of the errors of lines, followed over a flight.
 
     Parameters
     ----------
@@ -74,11 +74,12 @@ cdef class LineErrors:
         self.restart()
 
     cdef void restart(self) noexcept:
-        """Begin anew after a gap; what was measured holds."""
+        """Begin anew after a gap, and keep the variances."""
         self._tick, self._measured = 0, -1
 
     cdef void follow(self, const double* value, const double* turned, bint lined) noexcept:
-        """Go on by a tick: signals, and by what angles the attitude turned; ``lined``: the signals lie on a line."""
+        """Process a tick: signals, and the angles by which the attitude turned; ``lined``: the signals lie on a
+        line."""
         cdef double* last
         cdef double* total
         cdef double* before
@@ -118,27 +119,29 @@ cdef class LineErrors:
                 self._variance[k][i] += weight * ((error - line) ** 2 - self._variance[k][i])
 
     cdef double change(self, int i, double value) noexcept:
-        """Return by how much a signal changed since the tick before, to a value."""
+        """Return the change of a signal since the tick before, to a new value."""
         return value - self._value[self._tick % (LONGEST + 1)][i] if self._tick else 0.0
 
     cdef double early_s(self) noexcept:
-        """Return by how much the attitude is earlier than the gyros, seconds."""
+        """Return tau, by which the attitude is earlier than the gyros, seconds."""
         return self._early[0] / self._early[1]
 
     cdef double variance(self, int i, double ticks) noexcept:
-        """Return that of an error after a line of so many ticks."""
+        """Return the variance of an error over a line of so many ticks."""
         cdef double share
         cdef int k = _between(ticks, &share)
         return _grown(self._variance[k][i], self._variance[k + 1][i], share)
 
     cdef double steep(self, int i, double value, double ticks) noexcept:
-        """Return the same where the line, whose next value this is, may be steeper than any measured one."""
+        """Return the same, at least that of the step to ``value``, as the line may be steeper than any measured
+        before."""
         return fmax(self.variance(i, ticks), spread_between(self.change(i, value) * ticks * ticks * self._dt))
 
     cdef double down(self, double ticks, double* variance) noexcept:
-        """Return the share of a line that the acceleration down is in the mean, and fill in the variance of the rest.
+        """Return the factor of a line that gives the expected integral of the acceleration down; fill in the variance
+        left.
 
-        That is the regression of its integral on the line: ends of a line that are mostly noise say little of it.
+        It is the regression of the integral on the line: where the ends of a line are mostly noise it is small.
         """
         cdef double[2] slope
         cdef double[2] left
@@ -154,7 +157,7 @@ cdef class LineErrors:
 
 
 cdef inline int _between(double ticks, double* share) noexcept:
-    """Return the index of the span below so many ticks, and fill in where they lie between it and the next one."""
+    """Return the index of the span below so many ticks, and fill in the position between it and the next one."""
     cdef int k = 0
     while k < SPANS - 2 and ticks > (4 << k):
         k += 1
@@ -163,7 +166,7 @@ cdef inline int _between(double ticks, double* share) noexcept:
 
 
 cdef inline double _grown(double shorter, double longer, double share) noexcept:
-    """Return a variance on the line of the logarithms between two; beyond the longest, as that of a random walk."""
+    """Return a variance interpolated in logarithms; beyond the longest span it grows as that of a random walk."""
     cdef double beyond = fmax(share - 1.0, 0.0)
     share = fmin(share, 1.0)
     return exp((1.0 - share) * log(shorter + 1e-30) + share * log(longer + 1e-30) + beyond * _BEYOND * log(2.0))

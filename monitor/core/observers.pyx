@@ -3,8 +3,8 @@
 # Entries of a row of a matrix are independent: two are computed at a time, to the same bits.
 """Observers as affine maps, the covariance of their errors, and the static input curves, row after row.
 
-Symbols are those of the theory. Sums go through their terms in one fixed order, so that a row's result depends on the
-rows before it alone and never on how many of them came in the same call (BLAS chooses its order by size).
+Symbols are those of the theory. Sums are taken in one fixed order, so that the result of a row depends only on the rows
+before it and never on how many of them came in the same call (BLAS chooses its order by size).
 """
 
 from libc.math cimport fabs, hypot, sqrt
@@ -16,7 +16,7 @@ cdef enum:
     MEASURED, COASTED, RESUMED
     KINDS
 
-# Slopes and roots of an input curve that are smaller count as this: a curve that is flat at zero command has none.
+# Slopes and roots of an input curve are at least this: a curve may be flat at zero command.
 cdef double SMALLEST_SLOPE = 1e-9
 # Newton's method converges quadratically: on the curve of the tests four steps leave less than 1e-6 of full command.
 cdef int NEWTON_STEPS = 4
@@ -25,8 +25,8 @@ cdef int NEWTON_STEPS = 4
 cdef class SparseMatrix:
     """A constant matrix without its zeros, column after column.
 
-    A product adds the columns in their order: sums of independent rows overlap in the processor, and what is not a
-    number spreads to the rows that depend on it only.
+    A product adds the columns in order: sums of independent rows overlap in the processor, and NaN spreads only to the
+    rows that depend on it.
     """
 
     cdef Py_ssize_t columns, rows
@@ -69,7 +69,7 @@ cdef class AffineMap:
     curves : ndarray
         Coefficients of the input curves (s, degree).
     newer, source : ndarray
-        For each past input, sorted by delay: the entry of [v; past v] it takes over after a row, and its input.
+        For each past input, sorted by delay: the entry of [v; past v] whose value it gets after a row, and its input.
     functions, spans : sequences
         The nonlinearities as Python functions, and where the arguments of each begin in nu (one more than functions).
     observers, states, outputs, faults : int
@@ -200,11 +200,11 @@ cdef class ErrorCovariance:
     steady, start : ndarray
         P while all is measured and after a restart (K, d, d).
     owner, entry : ndarray
-        The observer, and the entry of its error, whose variance is shown for each fault (a,).
+        For each fault, the observer and the entry of its error that give the fault's variance (a,).
     scale : ndarray
-        How many times its standard deviation is shown for each fault (a,).
+        Factor of the standard deviation of each fault (a,).
     tolerance : float
-        P counts as back at the steady one where every standard deviation is within this share of the steady one.
+        P counts as steady again where every standard deviation is within this share of the steady one.
     """
 
     cdef double[:, :, :, ::1] A, Q
@@ -239,7 +239,7 @@ cdef class ErrorCovariance:
                 self.P[:] = self.start
                 self.settled = self.coasted = False
             seen = measured[k] or restart[k]
-            # While all is measured P stays the steady one and nothing has to be computed.
+            # While all is measured P stays steady, and nothing has to be computed.
             if not (self.settled and seen):
                 kind = COASTED if not seen else RESUMED if self.coasted else MEASURED
                 self.coasted = not seen
@@ -260,7 +260,7 @@ cdef class ErrorCovariance:
         return sqrt(variance) if variance > 0.0 else 0.0
 
     cdef void propagate(self, int kind) noexcept:
-        """P = A P A' + Q; A has few entries, and P A' = (A P)' because P is symmetric."""
+        """P = A P A' + Q; A is sparse, and P A' = (A P)' because P is symmetric."""
         cdef Py_ssize_t k, i, j, size = self.P.shape[1]
         for k in range(self.P.shape[0]):
             multiply_rows(self.A[k, kind], self.P[k], self.AP)
@@ -288,7 +288,7 @@ cdef void multiply_rows(const double[:, ::1] A, const double[:, ::1] B, double[:
 
 
 cdef class SinceMeasured:
-    """How long ago the outputs were measured last."""
+    """The time since the outputs were last measured."""
 
     cdef int64_t measured_ns
 
@@ -318,13 +318,13 @@ cdef class CommandScale:
     channel : ndarray
         For each fault, which of ``inputs`` it scales, -1 where it scales none (a,).
     keep : float
-        Share of the smoothed command that a row leaves.
+        Weight of the smoothed command before a row.
     """
 
     cdef double[:, ::1] curves
     cdef Py_ssize_t[::1] inputs, channel
     cdef double[::1] command, before
-    # whether an input has been commanded both ways: then it drives what pushes and pulls, and no fault is a share of it
+    # Whether an input has been commanded to both sides: then no fault is given as a share of its command.
     cdef unsigned char[::1] both
     cdef double keep
 
@@ -365,8 +365,8 @@ cdef class CommandScale:
                     size = self.scaled(channel, size)
                     upper = self.scaled(channel, upper)
                     scaled_evidence[k, i] = self.scaled(channel, evidence[k, i])
-                    # What is a share of the command is as far behind it as the command that is smoothed alike, which
-                    # the measurements of a row show that of the row before.
+                    # A share of the command is wrong by as much as the command differs from the one smoothed as the
+                    # evidence is; the measurements of a row show the command of the row before.
                     if self.before[channel] != 0.0 and not self.both[channel]:
                         behind = scaled_evidence[k, i] * (u[k, self.inputs[channel]] / self.before[channel] - 1.0)
                 scaled_fault[k, i] = size
@@ -379,7 +379,8 @@ cdef class CommandScale:
 
 def shares_in_command(const double[:, ::1] curves, const Py_ssize_t[:] inputs, const double[:] command,
                       const double[:] share):
-    """Return what shares (n,) of the effects of inputs (n,), -1 for none, are of their commands (n,), in its unit."""
+    """Return losses of the commands of inputs (n,), in their units, from shares (n,) of their effects; input -1: as it
+    is."""
     cdef Py_ssize_t k, count = inputs.shape[0]
     if not count == command.shape[0] == share.shape[0]:
         raise ValueError("inputs, command and share differ in length")
@@ -451,5 +452,5 @@ cdef double fault_in_command(const double[:, ::1] curves, Py_ssize_t j, double f
 
 
 cdef double at_least(double value, double limit) noexcept:
-    """Return the larger one; what is not a number stays so."""
+    """Return the larger one; NaN stays NaN."""
     return limit if value < limit else value

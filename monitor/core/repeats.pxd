@@ -1,8 +1,8 @@
 # cython: language_level=3
-"""What sampling uses of the watch for what was sent before."""
+"""The declarations of the watch for repeated recordings, for sampling."""
 
 cdef enum:
-    # Values that are compared, the first of a row: those of an IMU, of which no two rows are alike by chance.
+    # How many values are compared, the first of a row: those of an IMU, no two rows of which are equal by chance.
     SENSES = 6
 
 

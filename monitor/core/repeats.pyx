@@ -1,9 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""Rows of an IMU that were sent before, value by value: a recorded stretch that is sent again.
+"""Finds rows of an IMU that were sent before, value by value: part of a recording that is sent again.
 
-No two rows of noisy sensors are alike in every value, and never are many in a row the same, in the same order, as many
-before. Rows are remembered by a hash of their values, and where a hash was first. Stamps say nothing: who sends a
-recording again may give them anew.
+Noisy sensors never give two rows that are equal in every value, still less many in the same order. Rows are remembered
+by a hash of their values, with the index of its first row. Stamps are not compared: who sends a recording again may
+change them.
 """
 
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
@@ -13,10 +13,10 @@ cdef enum:
     # Rows that are remembered: five minutes at 100 Hz.
     KEPT = 1 << 15
 
-# Rows one after the other that are no chance. Chosen: two of a sensor at rest that counts in coarse steps may be alike
-# once in ten.
+# Length of a run of repeated rows that is no chance. Chosen: of a sensor at rest with coarse steps, two rows may be
+# equal once in ten.
 cdef int CERTAIN = 20
-# Least time since they came, ns: what comes twice over two radios comes within less (link_alarms.py).
+# Least time since the first sending, ns: duplicates over two radios come within less (link_alarms.py).
 cdef long long APART = 10_000_000_000
 
 # The multiplier of MurmurHash3's last step, as its shifts of 33 bits.
@@ -38,7 +38,7 @@ cdef class Repeats:
         PyMem_Free(self._received)
 
     cdef bint take(self, long long received, const double* row) noexcept:
-        """Take a row; return whether it is one of many that came before."""
+        """Process a row; return whether it is one of many in a row that came before."""
         cdef unsigned long long bits, code = 0
         cdef unsigned int found, slot
         cdef int i
@@ -46,10 +46,10 @@ cdef class Repeats:
             memcpy(&bits, row + i, sizeof(bits))
             code = (code ^ bits ^ (bits >> 33)) * MIX
             code ^= code >> 33
-        # The last bit says that the row had not come before: one that comes often says nothing.
+        # The last bit of a stored hash says that the row had not come before: rows that come often prove nothing.
         found = <unsigned int>code | 1
         if self._count and self._hashes[(self._count - 1) % KEPT] | 1 == found:
-            # held, or of a sensor without noise
+            # A held value, or that of a sensor without noise.
             return False
         slot = found // 2 % KEPT
         if self._run and self._hashes[(self._place + 1) % KEPT] == found:
