@@ -1,52 +1,48 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 """Messages of different rates -> samples (u, y) on a fixed-rate grid of the vehicle's clock.
 
-Tick k is at t_k = k / rate_hz on the vehicle's own clock, rounded to a nanosecond, so a monitor that starts
-late gives the same samples as one that was there from the start. The rules, in which only the messages and
-their order count:
+Tick k is at t_k = k / rate_hz on the vehicle's own clock, rounded to a nanosecond, so a monitor that starts late gives
+the same samples as one that ran from the start. Only the messages and their order count. The rules:
 
-1. A measurement is (channel, stamp, value). The same channel and stamp again is a duplicate, ignored and
-   counted: GPS_RAW_INT repeated with an unchanged ``time_usec`` is one measurement. Stamp 0 of a MAVLink
-   message means that the sender has no time yet: ignored and counted, as is a clock field that is missing or
-   no number. A channel whose message has no clock field at all takes the newest time of the vehicle, and is lost
-   (rule 4) where others of its sampler came later than that allows, as rule 3 has it.
-2. Measurements may come in any order. One that is older than its channel's newest is put in its place as long
-   as its stamp lies after the last tick given out or skipped; otherwise it is late: dropped and counted.
-3. The grid starts when four measurements of every channel are there. Tick k is given out as soon as every
-   channel has a measurement at or after t_k: ``linear`` channels are interpolated between the two
-   measurements around t_k (speed and course over ground as the vector that they are), ``previous`` ones hold the
-   newest at or before it, ``mean`` ones take the mean over t_k to t_k+1 of the straight lines between measurements
-   (what a quick command did until the next tick of a slow grid, which has to be waited for). So a sample comes at most
-   one period of the slowest channel after its time, or after the next tick. Where measurements of a channel came late,
-   as rule 2 has it, a tick between neighbours so far apart that one was lost waits until the newest is as far ahead of
-   them as one was late in the last 10 to 20 s (half a second at most): one between them may still come. On a link that
-   keeps the order nothing waits.
-4. A channel's nominal period is the median of its last 31 steps from stamp to stamp; where the grid is slower its
-   period takes the place. Lines between measurements up to 1.75 periods apart are as good as measurements. Are those
-   around t_k (with ``mean``: any two neighbours whose line is used) further apart, some were lost in between, and the
-   sample is marked ``complete=False``; ``lines_ns`` of raw signals says how far. If three or more are missing, the
-   channel is ``lost``: its straight line is no measurement. One slower than every second tick is lost at a gap only, a
-   mean after a whole tick; the raw signals of a transform, of which integrals are taken, not before ``RAW_LINE_S``. A
-   sample of an observer in which a channel is lost is marked ``measured=False``: the observer coasts on its model. One
-   that comes three times as seldom as in the fitted flights, and as the grid, is lost always: what it did between was
-   never fitted. So is a mean of which there is not more than one measurement a tick, where there were more.
-   Commands, rates, attitude and IMU of a ``restless`` vehicle that stand still to the bit are lost until they change:
-   after five messages, a quarter of a second and twice as many messages as they did of late.
-   Where nothing came for longer than 10 periods and than ``max_gap_s`` it is a gap: its ticks are skipped and the
-   first sample after it is marked ``restart=True``. That holds for each channel of an observer, and for raw signals
-   where all of them lack.
-5. A channel that stops while others go on is waited for until the vehicle's clock is 0.5 s and 10 of its periods
-   ahead of it (three of a raw signal's), and of the time at which messages came again after none did; then ticks
-   are given out with its newest value, and the channel lost, until rule 4 calls it a gap. Then ticks are skipped
-   and measurements that only they would have used are dropped. Memory is bounded.
-6. Which stamps to believe is decided by the clock (:class:`VehicleClock`): a reboot starts all buffers anew, a
-   single damaged stamp does not. A message with a doubtful stamp is held back until the next one decides about
-   it; the stamp of a 32-bit counter that turned over is continued.
-7. A value that is missing, no number or not finite is ignored and counted; other channels of the same message
-   are not affected.
+1. A measurement is (channel, stamp, value). The same channel and stamp again is a duplicate, ignored and counted:
+   GPS_RAW_INT repeated with an unchanged ``time_usec`` is one measurement. Stamp 0 of a MAVLink message means that the
+   sender has no time yet: it is ignored and counted, as is a missing clock field or one without a number. A channel
+   whose message has no clock field gets the newest time of the vehicle; it is lost (rule 4) while other channels of its
+   sampler come later than ``_UNDATED`` (as rule 3 measures it).
+2. Measurements may come in any order. One older than its channel's newest is sorted in as long as its stamp is after
+   the last tick given out or skipped; otherwise it is late: dropped and counted.
+3. The grid starts when four measurements of every channel are there. Tick k is given out as soon as every channel has a
+   measurement at or after t_k. ``linear`` channels are interpolated between the two measurements around t_k (speed and
+   course over ground as one vector), ``previous`` ones keep the newest at or before it, ``mean`` ones are the mean from
+   t_k to t_k+1 of the straight lines between measurements (a quick command on a slow grid), for which the next tick has
+   to be waited for. So a sample comes at most one period of the slowest channel after its time, or after the next tick.
+   Where a channel's measurements came out of order, and the neighbours of t_k are so far apart that one was lost, the
+   tick waits until the newest measurement is later than these by the largest lateness of the last 10 to 20 s (half a
+   second at most): the missing one may still come. On a link that keeps the order nothing waits.
+4. A channel's nominal period is the median of its last 31 steps from stamp to stamp, or that of the grid where the grid
+   is slower. Lines between measurements up to 1.75 periods apart are as good as measurements. If the neighbours of t_k
+   (for ``mean``: any two whose line is used) are further apart, measurements were lost in between, and the sample is
+   marked ``complete=False``; ``lines_ns`` of raw signals tells the distance. If three or more are missing the channel
+   is ``lost``: its straight line is no measurement. A channel slower than every second tick is lost only in a gap; a
+   mean after a whole tick; a raw signal of a transform, which is integrated, not before ``RAW_LINE_S``. An observer's
+   sample with a lost channel is marked ``measured=False``: the observer coasts on its model. A channel three times as
+   slow as in the fitted flights and as the grid is always lost: how the signal varies in between was never fitted. So
+   is a mean with no more than one measurement a tick, if it had more in the fitted flights. Commands, rates, attitude
+   and IMU of a ``restless`` vehicle that repeat to the bit are lost until they change: after five messages, a quarter
+   of a second, and twice as many messages as they lately repeated. Where nothing came for longer than 10 periods and
+   than ``max_gap_s`` there is a gap: its ticks are skipped and the first sample after it is marked ``restart=True``.
+   This holds for each channel of an observer, and for raw signals where all of them are missing.
+5. A channel that stops while others go on is waited for until the vehicle's clock is 0.5 s and 10 of its periods (three
+   for a raw signal) ahead of it, and of the time at which messages came again after a silence. Then ticks are given out
+   with its newest value, and the channel as lost, until rule 4 makes it a gap. Then ticks are skipped, and measurements
+   for these ticks only are dropped. Memory is bounded.
+6. The clock (:class:`VehicleClock`) decides which stamps to believe: a reboot empties all buffers, a single damaged
+   stamp does not. A message with a doubtful stamp is held back until the next one decides about it; the stamp of a
+   32-bit counter that wrapped is continued.
+7. A missing or non-finite value is ignored and counted; other channels of the same message are not affected.
 
-A batch is worked through message by message: of each message every sampler in turn, of each sampler every stream of
-that message. Nothing looks ahead, so it makes no difference how telemetry is cut into batches.
+A batch is processed message by message; each message by every sampler in turn, and by every stream of each sampler.
+Nothing looks ahead, so results do not depend on how telemetry is cut into batches.
 """
 
 from fractions import Fraction
@@ -90,36 +86,38 @@ cdef nanoseconds _UNTIMED = -1
 cdef nanoseconds _CLOCKLESS = -2
 
 # Messages of one vehicle overtake each other by less: the longest silence of a link in 12 recorded flights is 0.11 s. A
-# reboot steps back by the time since the last one, which is more as soon as anything can fly.
+# reboot steps back by the time since the last one, which is longer in anything that can fly already.
 cdef nanoseconds _TOLERANCE = _SECOND
-# A stamp earlier than the least delayed ones by more may be another sender's: of 90 recordings the clocks' least delays
+# A stamp with so much less delay than the least delayed ones may be another sender's: in 90 recordings the least delays
 # differ from minute to minute by less than 0.1 s.
 cdef nanoseconds _EARLY = 250 * _MILLISECOND
-# A link holds messages back for less, and its quicker and slower ways differ by less: radios with a queue of 57,600
-# baud and mobile networks by up to 3 s (docs/limits.md). What is older comes from another clock.
+# A link holds messages back for less, and its quicker and slower ways differ by less: radios with a queue at 57,600
+# baud and mobile networks by up to 3 s (docs/limits.md). An older message is of another clock.
 cdef nanoseconds _HELD = 5 * _SECOND
-# By how much more than the most of the last minute a message may be behind, in halves of it. Chosen: the most of one
-# minute is exceeded in the next one half of the time, by half hardly ever.
+# Largest time by which a message may be behind, in halves of the largest of the last minute. Chosen: that of one minute
+# is exceeded in half of the next minutes, by more than a half of it hardly ever.
 cdef int _BEHIND = 3
-# How long the largest of what came behind is remembered, at least: as long as delays are.
+# Least memory of the largest time by which messages were behind: as long as that of delays.
 cdef nanoseconds _REMEMBERED = 60 * _SECOND
-# Chosen: as long as that of the flight phase (monitor/sampling/phase.py).
+# Duration of a contest, and the findings that begin it. Chosen: as for the flight phase (monitor/sampling/phase.py).
 cdef nanoseconds _CONTEST = 10 * _SECOND
 cdef int _RIVALS = 3
-# A vehicle that was switched off is silent for longer; the longest silence of a radio was 2.5 s.
+# The vehicle's clock is silent if it was switched off for so long; the longest silence of a radio was 2.5 s.
 cdef nanoseconds _AWAY = 3 * _SECOND
-# In flight another clock, which no reboot explains, is followed only after as long without the vehicle's own. Chosen:
-# as long as a contest, so that what comes of it is never taken for the vehicle's while nothing is said.
+# In flight another clock, which no reboot explains, is followed only after so long without the vehicle's own. Chosen:
+# as long as a contest, so that its messages are never taken for the vehicle's without a contest being reported.
 cdef nanoseconds _REPLACED = 10 * _SECOND
-# Chosen: after a longer silence nothing of what was estimated before it is of use, so starting anew costs nothing.
+# A larger step ahead starts the clock anew. Chosen: after so long a silence no earlier estimate is of use.
 cdef nanoseconds _JUMP = 10 * _SECOND
-# A minute of least delays, twelve of them: after it a clock with 200 ppm of skew behind up to 20 ms of jitter is mapped
-# within half a millisecond (tests/test_monitor_sampling_clock.py). Longer, and a skew that changes is followed late.
+# Least delays are kept for a minute, in twelve parts. After it a clock with a skew of 200 ppm and up to 20 ms of jitter
+# is mapped within half a millisecond (tests/test_monitor_sampling_clock.py). With a longer memory a changing skew is
+# followed late.
 cdef nanoseconds _BUCKET = 5 * _SECOND
 cdef nanoseconds _BUCKETS = 12
-# Quartz crystals keep 100 ppm over temperature; five times that is no crystal any more.
+# Quartz crystals keep 100 ppm over temperature; nothing five times as far off is a crystal.
 cdef nanoseconds _LARGEST_SKEW_PPM = 500
-# Over this span the largest skew is a delay of 7.5 ms; over less, jitter alone would look like it.
+# Least span for measuring the skew: the largest skew makes 7.5 ms over it; over less, jitter alone would look like
+# skew.
 cdef nanoseconds _LEAST_SPAN = 15 * _SECOND
 # 32 bits of milliseconds and of microseconds.
 cdef nanoseconds[2] _TURNS
@@ -127,15 +125,15 @@ _TURNS[0], _TURNS[1] = 1_000 << 32, 1_000_000 << 32
 
 # Rule 3. The median of three steps is the period although one measurement was lost.
 cdef int _FIRST_STEPS = 3
-# Chosen: a changed rate moves the median after 16 steps; looking every eighth step sees it at most a half later, and
-# sorting 31 steps each time would cost more than the rest of the sampling.
+# Chosen: a changed rate moves the median after 16 steps; with a look every eighth step it is noticed at most half as
+# much later, and sorting 31 steps each time would cost more than the rest of the sampling.
 cdef int _RELEARN_EVERY = 8
-# Rule 4, in quarters of a period. A lost measurement leaves two periods, and a quarter is granted for jitter: of steps
-# of 10 ms in 12 recorded flights 99.9 % lie within it. PX4's loop of 4 ms makes steps of 8, 12 and 16 ms of 100 Hz.
+# Rule 4, in quarters of a period. One lost measurement leaves two periods; three quarters are left for jitter: of steps
+# of 10 ms in 12 recorded flights 99.9 % are within it. PX4's loop of 4 ms makes steps of 8, 12 and 16 ms at 100 Hz.
 cdef nanoseconds _WHOLE_QUARTERS = 7
-# Rule 5. Chosen: over four times the longest silence of 12 recorded flights; the longer, the later all other channels.
+# Rule 5. Chosen: over four times the longest silence of 12 recorded flights. All other channels wait for so long.
 cdef nanoseconds _SILENCE = 500 * _MILLISECOND
-# Rule 5. Two measurements of a raw signal may be lost before it counts as stopped, and others go on without it.
+# Rule 5. A raw signal counts as stopped after more than two lost measurements; the others go on without it.
 cdef nanoseconds _SILENT_PERIODS = 3
 # Rules 4 and 5. Chosen: ten samples of a slow channel or grid; quick ones have max_gap_s.
 cdef nanoseconds _GAP_PERIODS = 10
@@ -145,43 +143,43 @@ cdef nanoseconds _LATEST = _SILENCE
 cdef nanoseconds _LATE_WINDOW = 10 * _SECOND
 
 LINE_PERIODS = 3
-"""Lost measurements of a channel from which the observer coasts (rule 4): of 1, 2, 3 the best of those measured
+"""Missing measurements from which a channel is lost and the observer coasts (rule 4): the best of 1, 2 and 3, measured
 (docs/measurements.md, bench/gaps.py)."""
 RAW_LINE_S = 0.1
-"""Longest line of a raw signal that counts as measured (rule 4), seconds. Measured with bursts of 0.1 s on 45
-flights: of .06, .1 and .15 s the last raises gyros in brisk flight (7 times), the first costs a third of the
+"""Longest line of a raw signal that counts as measured (rule 4), seconds. Measured with bursts of 0.1 s on 45 flights:
+of 0.06, 0.1 and 0.15 s the last raises gyro alarms in agile flight (7 times), the first loses a third of the
 evidence."""
 MAX_GAP_S = 1.5
-"""Default of ``max_gap_s``. Chosen: as long as a fault is taken to have grown before a restart
-(:mod:`monitor.estimation.affine`), after which coasting tells no more than beginning anew; and a burst of a second."""
+"""Default of ``max_gap_s``, seconds. Chosen: as long as a fault is assumed to have grown before a restart
+(:mod:`monitor.estimation.affine`), after which coasting is no better than a restart; and longer than a burst of 1 s."""
 
 # Times beyond these are no measurements; ten times the longest period still fits into 64 bits.
 cdef nanoseconds _RAW_LINE = round(1e9 * RAW_LINE_S)
-# Rule 1. A time that is wrong by half of a line moves a value no more than the line does. Measured on two flights whose
-# controllers' speeds have no time: up to 75 ms of jitter raise none of them falsely, 100 ms five, 200 ms 18.
+# Rule 1. A time wrong by half a line's length changes a value no more than that line does. Measured on two flights
+# whose controllers' speeds have no time: with jitter up to 75 ms no false alarm, with 100 ms five, with 200 ms 18.
 cdef nanoseconds _UNDATED = _RAW_LINE // 2
 cdef nanoseconds _LONGEST_PERIOD = 1 << 58
 
-# Rule 4. Measured in flight on 21 healthy recordings of multirotors: commands of whole microseconds stand still for up
-# to 11 messages and 0.11 s at 100 Hz, for one or two at 1 to 10 Hz, rates and IMUs never. Forgotten as what comes late.
+# Rule 4. Measured in flight on 21 healthy recordings of multirotors: commands in whole microseconds repeat in up to 11
+# messages and 0.11 s at 100 Hz, in one or two at 1 to 10 Hz, rates and IMUs never. Forgotten after _LATE_WINDOW.
 cdef int _STILL_ROWS = 5
 cdef nanoseconds _STILL = 250 * _MILLISECOND
 
 CAPACITY = 1 << 14
-"""Most measurements a lane keeps; a flood of one channel while another is waited for drops the older half. Chosen: 16 s
-at 1 kHz, and 2 MB for a lane of 15 channels."""
+"""Most measurements that a lane keeps; a flood of one channel while another is waited for drops the older half. Chosen:
+16 s at 1 kHz, and 2 MB for a lane of 15 channels."""
 
 cdef Py_ssize_t _CAPACITY = CAPACITY
 
 cdef enum:
-    # Buckets, and what damaged clocks may add to them; the oldest point gives way.
+    # Parts of a minute, and room for those that damaged clocks add; then the oldest point is dropped.
     _MOST_POINTS = 64
-    # Odd, so the median is one of them; up to 15 of them may be lost or doubled without moving it.
+    # Odd, so that the median is one of the steps; up to 15 lost or doubled ones do not change it.
     _STEPS = 31
 
 
 cdef void* _resized(void* buffer, size_t size) except NULL:
-    """Return a buffer with its content, as large as asked for; NULL: a new one."""
+    """Return a buffer of a size with its old content; NULL: a new one."""
     cdef void* resized = PyMem_Realloc(buffer, size)
     if resized == NULL:
         raise MemoryError
@@ -197,7 +195,7 @@ cdef inline wide _floor_div(wide dividend, wide divisor) noexcept:
 
 
 cdef inline nanoseconds _bounded(wide value) noexcept:
-    """Return a time as 64 bits, the nearest that they hold."""
+    """Return a time within 64 bits, cut at their limits."""
     cdef wide most = <wide>_MAX_STAMP + (_MAX_STAMP - 1)
     if value > most:
         return <nanoseconds>most
@@ -213,38 +211,38 @@ cdef struct Point:
 
 
 cdef class VehicleClock:
-    """Follows one vehicle's clock through its messages, and depends on nothing but them.
+    """Follows one vehicle's clock by its messages alone.
 
-    Belief. A stamp within 1 s of the newest one, before or after, is believed at once, and one that is up to 5 s
-    behind: a link held it back. One leads that is up to 5 s ahead both of the newest and of when it arrives (by more
-    than 0.25 s, after the first 5 s). It is believed when others have led as far for 0.25 s, and none came between that
-    did not: the clock was set, or the link became quicker. One further away is believed only when the next message has
-    another stamp near it (at most 1 s before or 10 s after), so a single damaged stamp changes nothing. Once believed,
-    a step back of more than 1 s is a reboot and a step ahead of more than 10 s a clock that was set: both start the
-    clock anew and count in ``boot``.
+    Belief. A stamp within 1 s of the newest one is believed at once; so is one up to 5 s behind, which a link held
+    back. A stamp leads if it is up to 5 s ahead both of the newest one and of its expected time (by more than 0.25 s,
+    after the first 5 s). It is believed once stamps have led by as much for 0.25 s without others in between: the clock
+    was set, or the link became quicker. A stamp further away is believed only if the next message has another stamp
+    near it (at most 1 s before or 10 s after), so a single damaged stamp changes nothing. Then a step back of more than
+    1 s is a reboot and a step ahead of more than 10 s a clock that was set: both start the clock anew and count in
+    ``boot``.
 
-    Reboots. The clock of a vehicle that started anew shows at most the time since its last message. In flight no other
-    clock is followed, unless the vehicle's own has been away for 10 s; then it counts as another sender's until the end
-    of the flight.
+    Reboots. After a reboot the clock shows at most the time since the last message. In flight no other clock is
+    followed unless the vehicle's own has been silent for 10 s; then it counts as another sender's until the end of the
+    flight.
 
-    Contests. Two senders contradict each other, and jitter does not, where
-    - a message leads, those behind it come later by more than any of the last minute did, and they go on beyond it: a
-      link that became quicker, by its other way, brings nothing of later times the slower way. Two such in 10 s;
-    - far stamps go on as fast as time while near ones of the same channel come in between, for longer than a link holds
-      messages back;
-    - in flight the vehicle's time stands still while others come, for a second and half as long again as the longest
-      time by which one was behind in the last minute.
-    Such findings, three within 10 s, are a contest, which lasts until none came for 10 s. Meanwhile no other clock is
-    believed, unless this one has been silent for 3 s on the ground.
+    Contests. These contradict a single sender, whatever the jitter:
+    - a message leads, those after it are behind it by more than any in the last minute, and their stamps pass it (after
+      a link became quicker nothing newer comes by its slow way); twice in 10 s;
+    - stamps of another clock go on with time while near stamps of the same channel come in between, for longer than a
+      link holds messages back;
+    - in flight the vehicle's time stands still while messages come, for a second and one and a half times the largest
+      time by which a message was behind in the last minute.
+    Three such findings within 10 s are a contest, which lasts until none came for 10 s. Meanwhile no other clock is
+    believed unless this one has been silent for 3 s on the ground.
 
-    Mapping. Arrival minus stamp is the clocks' offset, which drifts with the crystals' skew, plus a delay that is
-    never negative. Of each 5 s of vehicle time the least delayed packet is kept, for 60 s. The line below all of
-    these points with the least sum of distances to them is that of the packets nothing held up: offset and skew
-    at once (S. Moon, P. Skelly, D. Towsley, "Estimation and Removal of Clock Skew from Network Delay
-    Measurements", INFOCOM 1999). It is the edge of their lower convex hull below the mean of their stamps. Where
-    they span less than 15 s, or the edge is steeper than any crystal (500 ppm: simulated time that runs fast, a
-    clock that was just set), the least delay alone counts. A single arrival time that would lower the offset by
-    more than 0.25 s is not believed.
+    Mapping. Arrival minus stamp is the offset of the clocks, which drifts with the crystals' skew, plus a delay that is
+    never negative. The least delayed packet of each 5 s of vehicle time is kept, for 60 s. Of the lines below all of
+    these points, the one with the least sum of distances to them belongs to packets without a delay and gives offset
+    and skew (S. Moon, P. Skelly, D. Towsley, "Estimation and Removal of Clock Skew from Network Delay Measurements",
+    INFOCOM 1999). It is the edge of the points' lower convex hull below the mean of their stamps. Where the points span
+    less than 15 s, or the edge is steeper than any crystal (500 ppm: simulated time that runs fast, a clock that was
+    just set), the least delay alone counts. A single arrival time that would lower the offset by more than 0.25 s is
+    not believed.
 
     Attributes
     ----------
@@ -259,11 +257,11 @@ cdef class VehicleClock:
     rival_ns : int
         By how much the other sender's stamps were ahead when the contest began.
     flies : bool
-        Whether the vehicle says that it is in flight, where a clock is not set, and no vehicle replaced by another.
+        Whether the vehicle says that it is in flight: then its clock is not set and the vehicle not replaced.
     splits : dict[str, int]
-        Messages that have two senders by their values, and until which Unix time each is taken to.
+        Messages whose values show two senders, with the Unix time until which each counts as such.
     repeats : dict[str, int]
-        The same of messages that were sent before, value by value.
+        The same for messages whose values were sent before.
     """
 
     cdef readonly int boot
@@ -273,8 +271,9 @@ cdef class VehicleClock:
     cdef public bint flies
     cdef readonly dict splits, repeats
     cdef bint _has_candidate, _has_doubtful
-    # A stamp of another clock and its arrival, since when such go on, and how many findings came since when; whether
-    # near ones came after it, also of the channel that the next one is of; when a near and a newer one arrived last.
+    # The newest stamp of another clock and its arrival; since when such stamps go on; the number of findings and the
+    # first one's time; whether near ones came after it, and of the next one's channel; the last arrivals of a near and
+    # of a newer one.
     cdef Point _rival
     cdef bint _has_rival, _interleaved, _shared, _began, _replaced
     # Whether the clock was followed for 5 s since it started (anew).
@@ -283,13 +282,13 @@ cdef class VehicleClock:
     cdef nanoseconds _rival_since, _rivals_since, _found_received, _near_received, _newer_received
     cdef nanoseconds _candidate
     cdef Point _doubtful
-    # The last stamp that led and its arrival, since when they lead; the first of those that others came behind, and how
-    # many did.
+    # The last stamp that led and its arrival; since when stamps lead; the first one that others came behind, and their
+    # number.
     cdef Point _leader, _passed
     cdef bint _led
     cdef nanoseconds _led_since
     cdef int _overtaken
-    # The most by which one was behind the newest: since that came, in this minute and in the one before; its end.
+    # Largest time behind the newest stamp: since that stamp, in this minute, in the one before; the end of this minute.
     cdef nanoseconds _standing, _behind, _behind_before, _minute_end
     cdef Point[_MOST_POINTS] _points
     cdef int _count
@@ -302,7 +301,7 @@ cdef class VehicleClock:
         self.splits, self.repeats = {}, {}
 
     def near(self, stamp_ns):
-        """Return whether a stamp is close enough to the newest one to need no second opinion."""
+        """Return whether a stamp is so close to the newest one that it is believed at once."""
         return 0 <= stamp_ns < MAX_STAMP_NS and self._near(stamp_ns)
 
     def unwrap(self, stamp_ns):
@@ -315,7 +314,7 @@ cdef class VehicleClock:
         return self._unwrap(stamp_ns) if 0 <= stamp_ns < MAX_STAMP_NS else stamp_ns
 
     def observe(self, stamp_ns, received_ns):
-        """Learn a measurement's stamp and its time of arrival; return whether the stamp is believed."""
+        """Process a measurement's stamp and its time of arrival; return whether the stamp is believed."""
         if not 0 <= stamp_ns < MAX_STAMP_NS:
             return False
         return self._observe(stamp_ns, max(-MAX_STAMP_NS, min(received_ns, MAX_STAMP_NS)))
@@ -326,7 +325,7 @@ cdef class VehicleClock:
 
     @property
     def skew(self):
-        """How much faster Unix time goes than the vehicle's clock, as a share: 1e-4 is 100 ppm."""
+        """The rate of Unix time over that of the vehicle's clock, minus 1: 1e-4 is 100 ppm."""
         return <double>self._rise / <double>self._run
 
     cdef inline bint _near(self, nanoseconds stamp) noexcept:
@@ -368,7 +367,7 @@ cdef class VehicleClock:
                 self._count = self._overtaken = 0
                 self._behind = self._behind_before = self._standing = 0
                 self._has_doubtful = self._led = self._followed = False
-                # Should the clock from before go on, there are two.
+                # If the clock from before goes on, there are two senders.
                 self._rival.stamp, self._rival.delay = self.newest_ns, self._near_received - self.newest_ns
                 self._rival_since = received - _HELD
         self._has_candidate = False
@@ -384,22 +383,22 @@ cdef class VehicleClock:
         return True
 
     cdef inline bint _rebooted(self, nanoseconds stamp, nanoseconds received) noexcept:
-        """Return whether a vehicle that started anew after its last message may have given a stamp."""
+        """Return whether a vehicle that rebooted after its last message may have sent a stamp."""
         cdef nanoseconds silence = received - self._near_received
         return stamp <= silence + (_HELD if silence >= _TOLERANCE else _TOLERANCE)
 
     cdef bint _is_foreign(self, nanoseconds stamp, nanoseconds received) noexcept:
-        """Return whether a stamp far from the newest one can be the vehicle's only if it does not fly."""
+        """Return whether only a vehicle that does not fly could have sent a stamp far from the newest one."""
         if not self.flies or not self._followed or self._rebooted(stamp, received):
             return False
         return stamp < self.newest_ns or self._delay_at(stamp) - (<wide>received - stamp) > _HELD
 
     cdef void _stand(self, nanoseconds behind, nanoseconds received) noexcept:
-        """Learn by how much a message is behind the newest one, or that the vehicle's time stands still."""
+        """Process by how much a message is behind the newest one; find that the vehicle's time stands still."""
         cdef nanoseconds stood = received - self._newer_received
         if received >= self._minute_end or self._minute_end - received > _REMEMBERED:
             self._behind_before, self._behind, self._minute_end = self._behind, 0, received + _REMEMBERED
-        # It is behind what comes next, too: where nothing does, the vehicle's time stands still.
+        # A message is also behind later ones; if no later one comes, the vehicle's time stands still.
         self._standing = max(self._standing, behind)
         if self.flies and self._followed and behind > _EARLY:
             if stood > _TOLERANCE + _BEHIND * self._usually_behind() // 2:
@@ -409,10 +408,10 @@ cdef class VehicleClock:
         return max(self._behind, self._behind_before)
 
     cdef bint _leads(self, nanoseconds stamp, nanoseconds received) noexcept:
-        """Learn a stamp; return whether it leads, which none has done for long."""
+        """Process a stamp; return whether it leads, where none has done so for long."""
         cdef nanoseconds delay = received - stamp, ahead = stamp - self.newest_ns
         cdef wide apart = <wide>delay - self._leader.delay
-        # What a link held up before it was opened comes at once, and the least delay is not known before 5 s.
+        # Messages held up before the link was opened come at once, and the least delay is not known before 5 s.
         if self._count < 2 or ahead <= _EARLY or self._delay_at(stamp) - delay <= _EARLY:
             if self._led and received > self._leader.stamp + self._leader.delay:
                 self._led = False
@@ -427,7 +426,7 @@ cdef class VehicleClock:
         return self._led
 
     cdef void _overtake(self, Point leader, nanoseconds stamp, nanoseconds received) noexcept:
-        """Learn a stamp that came after one that led."""
+        """Process a stamp that came after one that led."""
         if leader.stamp - stamp <= min(_EARLY // 2 + _BEHIND * self._usually_behind() // 2, _HELD):
             return
         if not 0 <= received - self._passed.stamp - self._passed.delay < _CONTEST:
@@ -435,7 +434,7 @@ cdef class VehicleClock:
         self._overtaken += 1
 
     cdef bint _is_rival(self, nanoseconds stamp, nanoseconds received) noexcept:
-        """Learn a stamp far from the newest one; return whether it is a rival's, while the clock is contested."""
+        """Process a stamp far from the newest one; return whether it is a rival's while the clock is contested."""
         cdef wide apart = <wide>received - stamp - self._rival.delay
         cdef nanoseconds gone = received - self._rival.delay - self._rival.stamp
         cdef wide early = self._delay_at(stamp) - (<wide>received - stamp)
@@ -462,7 +461,8 @@ cdef class VehicleClock:
         return received < self.contested_ns and received - self._near_received < _AWAY
 
     cdef void _contest(self, int count, nanoseconds ahead, nanoseconds received) noexcept:
-        """Count a message that only another sender can have sent, once, as so many findings."""
+        """Count a message that only another sender can have sent as ``count`` findings; one arrival time counts
+        once."""
         if received == self._found_received:
             return
         self._found_received = received
@@ -475,13 +475,13 @@ cdef class VehicleClock:
             self.contested_ns = received + _CONTEST
 
     cdef void part(self, dict found, name, nanoseconds received):
-        """Learn that a message has two senders, or was sent before."""
+        """Register that a message has two senders, or was sent before."""
         if received >= found.get(name, 0):
             self._began = True
         found[name] = received + _CONTEST
 
     cdef bint _confirmed(self, nanoseconds stamp) noexcept:
-        """Return whether the stamp before, which was far from the newest one too, is near this one."""
+        """Return whether the candidate before, which was far from the newest stamp too, is near this one."""
         cdef nanoseconds before = self._candidate
         cdef bint had = self._has_candidate
         if had and before == stamp:
@@ -491,7 +491,7 @@ cdef class VehicleClock:
         return had and -_TOLERANCE <= stamp - before <= _JUMP
 
     cdef inline wide _delay_at(self, nanoseconds stamp) noexcept:
-        """Return the delay that the line has at a vehicle time, rounded down."""
+        """Return the delay of the line at a vehicle time, rounded down."""
         if not self._rise:
             return self._anchor.delay
         return self._anchor.delay + _floor_div(<wide>(stamp - self._anchor.stamp) * self._rise, self._run)
@@ -500,7 +500,7 @@ cdef class VehicleClock:
         return _bounded(stamp + self._delay_at(stamp))
 
     cdef void _learn(self, Point point) noexcept:
-        """Keep the delay of a message whose stamp is believed where it is the least of its 5 s."""
+        """Keep the delay of a message with a believed stamp if it is the least of its 5 s."""
         cdef wide early = self._delay_at(point.stamp) - point.delay
         cdef wide apart
         cdef Point before
@@ -532,7 +532,7 @@ cdef class VehicleClock:
         self._draw_line()
 
     cdef void _draw_line(self) noexcept:
-        """Draw the line below the points, horizontal where their lower edge tells no skew."""
+        """Draw the line below the points; horizontal where they do not tell the skew."""
         cdef Point[_MOST_POINTS] hull
         cdef Point least, left, right
         cdef wide total = 0, rise
@@ -605,7 +605,7 @@ cdef nanoseconds _median(nanoseconds* steps, Py_ssize_t count) noexcept:
 
 cdef enum Kind:
     _LINEAR
-    # Of the two that are one vector, which is interpolated as such.
+    # Speed and course, which are interpolated as one vector.
     _SPEED
     _COURSE
     _PREVIOUS
@@ -613,7 +613,7 @@ cdef enum Kind:
 
 
 cdef struct Column:
-    # One channel of a lane: its place in a row of its stream, and in [u; y].
+    # A channel of a lane: its index in a row of its stream, and in [u; y].
     int source
     int place
     Kind kind
@@ -627,18 +627,18 @@ cdef enum Number:
     _FLOATING
 
 
-# By kind of number in NumPy.
+# By NumPy's kind of number.
 _NUMBERS = {"i": _SIGNED, "u": _UNSIGNED, "f": _FLOATING}
 
 
 cdef struct Field:
-    # Where a record has a number; _NO_NUMBER: nowhere.
+    # Where a record has a number; _NO_NUMBER: it has none.
     Py_ssize_t offset, size
     Number number
 
 
 cdef struct Scaling:
-    # What makes a number a channel's value.
+    # What turns a number into a channel's value.
     double scale, offset, stopped_as, largest
     bint stops
 
@@ -654,8 +654,8 @@ cdef struct View:
 cdef class Lane:
     """Measurements of channels that came together: one stamp and one row of values each, in order of time.
 
-    Besides them it keeps the newest 31 steps from stamp to stamp among the measurements dropped, and what follows
-    from their median, in nanoseconds:
+    The lane keeps the newest 31 steps between stamps of dropped measurements, and limits that follow from their median,
+    in nanoseconds:
 
     loss
         Distance of neighbours beyond which measurements are missing between them.
@@ -666,14 +666,13 @@ cdef class Lane:
     silence
         How long a lane that stopped is waited for.
 
-    ``seldom`` is the period beyond which they are lost always, 0: never.
-    ``hold`` is how far ahead of a tick the newest measurement has to be where one may be missing around it.
+    Beyond the period ``seldom`` the channels are always lost (0: never). ``hold`` is how far the newest measurement has
+    to be ahead of a tick where one around it may be missing.
     """
 
     cdef Column* columns
     cdef int width
-    # Whether any of them is a mean over the time until the next tick; whether their message has no clock field; whether
-    # they stand still.
+    # Whether any channel is a mean until the next tick; whether their message has no clock field; whether they repeat.
     cdef bint averages, undated, still
     cdef nanoseconds max_gap, tick, seldom, line_periods
     cdef bint raw
@@ -685,7 +684,7 @@ cdef class Lane:
     cdef int newest_step
     cdef nanoseconds learned
     cdef nanoseconds loss, line, gap, silence
-    # The largest lateness of this window and of the one before, and where this one ends.
+    # The largest lateness of this window and of the one before, and the end of this one.
     cdef nanoseconds hold, latest, latest_before, window_end
 
     def __cinit__(self, int width, nanoseconds max_gap, nanoseconds tick, bint raw):
@@ -708,7 +707,7 @@ cdef class Lane:
         return self._stamps[self.start + self.count - 1]
 
     cdef void set_limits(self, nanoseconds period) noexcept:
-        """Let what follows from a period hold."""
+        """Set the limits that follow from a period."""
         cdef nanoseconds spacing
         period = min(period, _LONGEST_PERIOD)
         spacing = max(period, self.tick)
@@ -728,21 +727,21 @@ cdef class Lane:
         self.silence = max(_SILENCE, (_SILENT_PERIODS if self.raw else _GAP_PERIODS) * period)
 
     cdef void arrive_late(self, nanoseconds by, nanoseconds now) noexcept:
-        """Learn that a measurement came behind a newer one of the lane."""
+        """Process the lateness of a measurement that came after a newer one of the lane."""
         if by <= _LATEST:
             self.turn_window(now)
             self.latest = max(self.latest, by)
             self.hold = max(self.latest, self.latest_before)
 
     cdef void turn_window(self, nanoseconds now) noexcept:
-        """Begin another window where it is time for it."""
+        """Begin another window if this one is over."""
         if now >= self.window_end:
             self.latest_before = self.latest if now < self.window_end + _LATE_WINDOW else 0
             self.latest, self.window_end = 0, now + _LATE_WINDOW
             self.hold = self.latest_before
 
     cdef bint is_whole(self, nanoseconds due, nanoseconds until) noexcept:
-        """Return whether no measurement may still come between those around a time, the newest being after it."""
+        """Return whether no measurement around a time may be missing; the newest is after that time."""
         cdef nanoseconds* stamps = self.stamps()
         cdef nanoseconds newest = self.newest()
         cdef Py_ssize_t i = self.count - 1
@@ -757,11 +756,11 @@ cdef class Lane:
         return True
 
     cdef inline bint ready(self) noexcept:
-        """Return whether enough measurements came to tell their period."""
+        """Return whether there are enough measurements to know their period."""
         return self.learned + self.count > _FIRST_STEPS
 
     cdef int settle(self) except -1:
-        """Learn the period from all that came so far."""
+        """Set the limits by all measurements so far."""
         cdef Py_ssize_t known = min(self.learned, <nanoseconds>_STEPS), count = known + self.count - 1, i
         cdef nanoseconds* steps = <nanoseconds*>_resized(NULL, count * sizeof(nanoseconds))
         memcpy(steps, self.steps, known * sizeof(nanoseconds))
@@ -783,7 +782,7 @@ cdef class Lane:
         self.count -= count
 
     cdef int insert(self, Py_ssize_t at, nanoseconds stamp, const double* values) except -1:
-        """Put a measurement in its place; ``values`` are those of its stream's row."""
+        """Insert a measurement at an index; ``values`` is a row of its stream."""
         cdef int i
         cdef double* row
         if self.start + self.count == self.room:
@@ -804,14 +803,14 @@ cdef class Lane:
         return 0
 
     cdef int grow(self, Py_ssize_t room) except -1:
-        """Make room for so many measurements."""
+        """Make room for ``room`` measurements."""
         self._stamps = <nanoseconds*>_resized(self._stamps, room * sizeof(nanoseconds))
         self._rows = <double*>_resized(self._rows, room * self.width * sizeof(double))
         self.room = room
         return 0
 
     cdef void pass_to(self, nanoseconds time) noexcept:
-        """Drop what is older than the newest measurement at or before a time, and learn the steps passed."""
+        """Drop measurements before the newest one at or before a time, and keep their steps."""
         cdef nanoseconds* stamps = self.stamps()
         cdef nanoseconds[_STEPS] steps
         cdef Py_ssize_t count = 0
@@ -844,7 +843,7 @@ cdef class Lane:
                 course = i
         if speed < 0 or course < 0:
             return
-        # the line between two velocities, along and across the first of them
+        # The line between two velocities, along and across the first one.
         column = self.columns + course
         angle = 2.0 * M_PI / column.period * _turned(left[course], right[course], column.period)
         along = (1.0 - fraction) * left[speed] + fraction * right[speed] * cos(angle)
@@ -875,7 +874,7 @@ cdef class Lane:
         return longest
 
     cdef void average(self, nanoseconds due, nanoseconds until, double* vector) noexcept:
-        """Write the means over a time of the lines between measurements, and what holds after, into [u; y]."""
+        """Write the means of the lines over a time, and of the newest value after them, into [u; y]."""
         cdef nanoseconds* stamps = self.stamps()
         cdef nanoseconds first, last
         cdef Column* column
@@ -886,7 +885,7 @@ cdef class Lane:
             column = self.columns + i
             if column.kind != _MEAN:
                 continue
-            # Sums of differences from the oldest value: exact for a constant, and an angle may go on over its range.
+            # Sums of differences from the oldest value: exact for a constant, and an angle may leave its range.
             total, value, k = 0.0, 0.0, 0
             while k + 1 < self.count and stamps[k] < until:
                 width = <double>(stamps[k + 1] - stamps[k])
@@ -902,7 +901,7 @@ cdef class Lane:
             vector[column.place] = self.row(0)[i] + total / <double>(until - due)
 
     cdef Lane part(self, const double* values, bint missing):
-        """Return a lane with the same past of the columns whose value in a stream's row is there, or is missing."""
+        """Return a lane with the same past, of the columns whose value is present in a stream's row, or missing."""
         cdef int width = 0, i
         cdef Py_ssize_t k
         cdef Lane part
@@ -953,16 +952,16 @@ cdef class Stream:
     cdef Repeats before
     cdef int width
     cdef Scaling* scalings
-    # Paths of the fields read: one for each channel, then those that select messages with what they have to be, then
-    # clocks with their units.
+    # Paths of the fields read: one for each channel; those that select messages, with the values asked; clocks, with
+    # their units.
     cdef list paths, equal, least, units
     # Where records of these places have them.
     cdef object places
     cdef Field* found
-    # When a stamp of it was believed last, Unix time.
+    # Unix time at which a stamp of it was last believed.
     cdef nanoseconds agreed
-    # Of values that never stand still for long: the newest, since when they do and for how many messages, for how many
-    # they did of late.
+    # For values that never repeat for long: the newest ones; since when, and for how many messages, they have repeated;
+    # the largest number of repetitions of late.
     cdef bint restless
     cdef double* newest
     cdef nanoseconds changed, compared
@@ -970,7 +969,7 @@ cdef class Stream:
     cdef double usual_stills
 
     def __init__(self, group, nanoseconds max_gap, nanoseconds tick, bint raw, nanoseconds fitted, bint restless):
-        """Begin with ``group``, pairs of place in [u; y] and channel; ``fitted`` is their period in fitted flights."""
+        """Begin with ``group``, pairs of index in [u; y] and channel; ``fitted`` is their period in fitted flights."""
         cdef Lane lane = Lane.__new__(Lane, len(group), max_gap, tick, raw)
         cdef Column* column
         cdef int i
@@ -991,7 +990,7 @@ cdef class Stream:
             elif channel.name == SPEED:
                 column.kind = _SPEED
         if fitted and lane.averages:
-            # between one and two measurements a tick
+            # Between one and two measurements a tick.
             lane.seldom = max(LINE_PERIODS * fitted, 3 * tick // 4)
         elif fitted:
             lane.seldom = LINE_PERIODS * max(fitted, tick)
@@ -1019,7 +1018,7 @@ cdef class Stream:
         PyMem_Free(self.newest)
 
     cdef bint compare(self, nanoseconds stamp, const double* row) noexcept:
-        """Follow for how long values stand still; return whether a time ends in which they were lost for long."""
+        """Count for how long values repeat; return whether a time ends for which they were lost for long."""
         cdef nanoseconds stood = stamp - self.changed
         cdef Lane lane
         cdef bint was = False, still
@@ -1040,7 +1039,7 @@ cdef class Stream:
         return was and not still and stood > (<Lane>self.lanes[0]).max_gap
 
     cdef int find(self, places) except -1:
-        """Learn where records of these places have the fields."""
+        """Find the fields in records of these places."""
         cdef Py_ssize_t i
         if places is not self.places:
             for i in range(len(self.paths)):
@@ -1051,7 +1050,7 @@ cdef class Stream:
     cdef bint open(self, Py_ssize_t which, fields, const Py_buffer* record, View* view, Py_ssize_t count) except -1:
         """Open the numbers at a path, one of each message, for reading; return whether there are any to be released.
 
-        They lie in ``record``, whose places were found; NULL: in columns of their own.
+        They are in ``record``, whose places were found; NULL: in columns of their own.
         """
         if record == NULL:
             return _open_column(_leaf(fields, self.paths[which]), view, count)
@@ -1095,11 +1094,11 @@ cdef class SamplerCore:
     max_gap_s : float
         Longest time without measurements that is no gap, seconds (at least 10 periods of the channel in any case).
     fitted_hz : Mapping[str, float]
-        How often messages came in the fitted flights, by name, as far as it matters.
+        Rates of messages in the fitted flights, by name, where they matter.
     restless : bool
-        Whether the vehicle is one whose commands and rates never stand still in flight.
+        Whether commands and rates of this kind of vehicle never repeat for long in flight.
     idles : bool
-        Whether its commands may all the same, as wings carry it at times.
+        Whether its commands may do so all the same, as wings carry it at times.
 
     Attributes
     ----------
@@ -1125,14 +1124,14 @@ cdef class SamplerCore:
     cdef int _boot, _inputs, _size
     # Whether the channels are the raw signals of a transform.
     cdef bint _raw
-    # The message held back because of its stamp.
+    # The message that is held back because of its stamp.
     cdef Stream _held
     cdef nanoseconds _held_stamp
     cdef double* _held_row
     # The next tick and its time; the last tick given out or skipped; the last one given out and its Unix time.
     cdef bint _started, _restarting, _has_unix
     cdef nanoseconds _next_tick, _due, _until, _last_tick, _unix_tick, _unix
-    # Newest time of the vehicle at the message before, and when messages came again after a time without any.
+    # Newest time of the vehicle at the message before; time at which messages came again after a silence.
     cdef nanoseconds _newest, _resumed
     cdef nanoseconds _messages, _duplicates, _late, _invalid, _untimed, _doubted
     cdef nanoseconds _clock_restarts, _samples, _incomplete, _restarts, _skipped
@@ -1163,7 +1162,7 @@ cdef class SamplerCore:
         self._streams, self._lanes = {}, []
         for (name, *_), group in groups.items():
             fitted = round(1e9 / fitted_hz[name]) if name in fitted_hz else 0
-            # fixes, heights and fields do stand still
+            # Fixes, heights and fields do repeat.
             turns = any([channel.period for _, channel in group]) and not group[0][1].at_least
             moves = restless and (turns or len(group) >= (SENSES if self._raw else 3))
             moves = moves and not (idles and group[0][0] < self._inputs)
@@ -1187,12 +1186,12 @@ cdef class SamplerCore:
 
     @property
     def seldom(self):
-        """Return the names of the messages that come too seldom for what was fitted."""
+        """Return the names of the messages that come too seldom compared with the fitted flights."""
         return self._names([lane for lane in self._lanes if (<Lane>lane).line < 0])
 
     @property
     def still(self):
-        """Return the names of the messages whose values stand still."""
+        """Return the names of the messages whose values repeat."""
         return self._names([lane for lane in self._lanes if (<Lane>lane).still])
 
     def _names(self, lanes):
@@ -1230,7 +1229,7 @@ cdef class SamplerCore:
     cdef int feed(
         self, Stream stream, nanoseconds stamp, nanoseconds received, const double* row, bint zero_is_unset
     ) except -1:
-        """Go on by one message of a stream: its stamp or a code, and its values, NaN where there is none."""
+        """Process one message of a stream: its stamp or a code, and its values, NaN where there is none."""
         cdef VehicleClock clock = self.clock
         cdef bint clockless = stamp == _CLOCKLESS
         cdef Lane lane
@@ -1261,7 +1260,7 @@ cdef class SamplerCore:
         return 0
 
     cdef void follow_clock(self) noexcept:
-        """Learn when messages came again, the quickest channel's lines having been too long."""
+        """Find when messages came again after a silence too long for lines of the quickest channel."""
         cdef nanoseconds now = self.clock.newest_ns, shortest = _MAX_STAMP
         cdef Lane lane
         if now > self._newest:
@@ -1273,7 +1272,7 @@ cdef class SamplerCore:
             self._newest = now
 
     cdef int believe(self, Stream stream, nanoseconds stamp, nanoseconds received, const double* row) except -1:
-        """Return whether the stamp is believed; hold the message back where it is not, store the one held before."""
+        """Return whether the stamp is believed; if not, hold the message back; if so, store the one held before."""
         cdef VehicleClock clock = self.clock
         cdef Stream held = self._held
         cdef bint agrees = held is not None and not clock._near(stamp)
@@ -1295,7 +1294,7 @@ cdef class SamplerCore:
         return True
 
     cdef void start_anew(self) noexcept:
-        """Forget what came before the vehicle's clock started anew."""
+        """Forget everything before the restart of the vehicle's clock."""
         cdef Lane lane
         self._boot = self.clock.boot
         self._clock_restarts += 1
@@ -1311,7 +1310,7 @@ cdef class SamplerCore:
         self._restarting = True
 
     cdef int store(self, Stream stream, nanoseconds stamp, const double* row) except -1:
-        """Put a message's values into the lanes of its stream."""
+        """Store a message's values in the lanes of its stream."""
         cdef Lane lane, absent
         cdef Py_ssize_t at = 0
         cdef int missing, i
@@ -1328,7 +1327,7 @@ cdef class SamplerCore:
             if missing == lane.width:
                 continue
             if missing:
-                # Part the channels that are in the message from those that are not.
+                # Separate the channels that are in the message from the others.
                 present, absent = lane.part(row, False), lane.part(row, True)
                 for lanes in (stream.lanes, self._lanes):
                     place = lanes.index(lane)
@@ -1341,7 +1340,7 @@ cdef class SamplerCore:
         return 0
 
     cdef int insert(self, Lane lane, nanoseconds stamp, const double* row) except -1:
-        """Put a measurement in its place in a lane, if it is neither known nor late."""
+        """Sort a measurement into a lane unless it is known or late."""
         cdef Py_ssize_t low, high, middle
         if not lane.count or stamp > lane.newest():
             lane.insert(lane.count, stamp, row)
@@ -1366,7 +1365,7 @@ cdef class SamplerCore:
         return 0
 
     cdef int give_out(self) except -1:
-        """Give out all ticks for which every lane has what it needs."""
+        """Give out all ticks for which every lane has its measurements."""
         cdef Lane lane, waiting
         cdef nanoseconds first
         while True:
@@ -1385,7 +1384,7 @@ cdef class SamplerCore:
             self.go_to(self._grid.index_at(first))
 
     cdef Lane find_waiting(self):
-        """Return a lane that lacks a measurement for the next tick; before the first, one not ready."""
+        """Return a lane without a measurement for the next tick; before the first tick, one that is not ready."""
         cdef Lane lane
         if not self._started:
             for lane in self._lanes:
@@ -1420,7 +1419,7 @@ cdef class SamplerCore:
         return self._until if lane.averages else self._due
 
     cdef int tick(self) except -1:
-        """Give out the next tick, or skip the ticks of the gap it lies in."""
+        """Give out the next tick, or skip the ticks of the gap that contains it."""
         cdef nanoseconds due = self._due, left, right, width, after_gap, latest = 0
         cdef Tick* tick
         cdef double* vector
@@ -1488,9 +1487,9 @@ cdef class SamplerCore:
         return 0
 
     cdef bint is_gap(self, nanoseconds* after) noexcept:
-        """Return whether a gap of one lane is one of the samples; ``after``, where it ends, may become later.
+        """Return whether a lane's gap is one of the samples; ``after``, the end of the gap, may become later.
 
-        That of a raw signal is where all of them lack: the transform goes on with those that are there.
+        Raw signals have a gap where all of them are missing: a transform goes on with those that are there.
         """
         cdef Lane other
         if not self._raw:
@@ -1517,7 +1516,7 @@ cdef class SamplerCore:
             self.go_to(index)
 
     cdef void give_up(self, Lane lane) noexcept:
-        """Drop what has been waiting too long for a lane that stopped."""
+        """Drop measurements that have waited too long for a lane that stopped."""
         cdef nanoseconds horizon = self.clock.newest_ns - lane.silence
         cdef Lane other
         if lane.count and max(lane.newest(), self._resumed) >= horizon:
@@ -1528,7 +1527,7 @@ cdef class SamplerCore:
                 other.pass_to(horizon)
 
     cdef nanoseconds to_unix(self, nanoseconds tick) noexcept:
-        """Return a tick's Unix time, which never stands still while the clock's offset is being corrected."""
+        """Return a tick's Unix time, which goes on while the clock's offset is being corrected."""
         cdef nanoseconds unix_time = self.clock._to_unix(tick)
         cdef wide least
         if self._has_unix:
@@ -1581,19 +1580,19 @@ cdef class SamplerCore:
 
 
 cdef class Settling:
-    """Which samples count as evidence: those for which a condition has held for a while.
+    """Decides which samples are evidence: those for which a condition has held for a while.
 
     Parameters
     ----------
     settle_s : float
-        How long it has to have held, seconds of vehicle time; a restart counts as its beginning.
+        Time for which it has to hold first, seconds of vehicle time; it begins anew at a restart.
 
     Attributes
     ----------
     idle : int
         The last row of the latest run whose mean input was too small; -1 where none was.
     commanded : bool
-        Whether the mean input was large enough in the last row for which that was asked.
+        Whether the mean input was large enough in the last row, where a least one was given.
     """
 
     cdef double _settle_ns
@@ -1606,9 +1605,10 @@ cdef class Settling:
         self._settle_ns = settle_s * 1e9
 
     def run(self, samples, bint allowed, least_command):
-        """Return which samples count (n,): ``allowed``, measured, the mean input at least ``least_command``, if any.
+        """Return which samples are evidence (n,): ``allowed``, measured, with a mean input of ``least_command`` or
+        more.
 
-        A sample of which all outputs are lost does not count either.
+        A sample all of whose outputs are lost is no evidence either.
         """
         cdef const nanoseconds[:] times = samples.vehicle_time_ns
         cdef const unsigned char[:] restart = samples.restart, measured = samples.measured
@@ -1645,7 +1645,7 @@ cdef class Settling:
 
 
 cdef void* _data(array) except NULL:
-    """Return where a new array has its numbers."""
+    """Return the address of a new array's numbers."""
     cdef Py_buffer view
     PyObject_GetBuffer(array, &view, PyBUF_SIMPLE | PyBUF_WRITABLE)
     cdef void* data = view.buf
@@ -1654,18 +1654,18 @@ cdef void* _data(array) except NULL:
 
 
 class Taken(NamedTuple):
-    """What a batch of messages gave.
+    """The result of a batch of messages.
 
     Parameters
     ----------
     samples : tuple[Samples, ...]
         The samples of each sampler, in the order of the samplers.
     position : tuple[NDArray[np.int64], ...]
-        For each sampler, the place in the batch of the message that completed each sample (n,).
+        For each sampler, the index in the batch of the message that completed each sample (n,).
     newest_ns : NDArray[np.int64]
         Newest time on the vehicle's clock after each message (batch.count,).
     used : int
-        Messages used up: fewer than there are where a contest of the clock began with the last of them.
+        Messages processed: fewer than there are where a contest of the clock began with the last of them.
     """
 
     samples: tuple
@@ -1675,18 +1675,18 @@ class Taken(NamedTuple):
 
 
 def sample_batch(VehicleClock clock not None, samplers, batch, bint stops=False):
-    """Work through the messages of a batch; return the samples they complete.
+    """Process the messages of a batch; return the samples that they complete.
 
-    The whole batch is used up, unless ``stops`` and the vehicle's clock comes to be contested: that message is last.
+    The whole batch is processed, unless ``stops`` and a contest of the vehicle's clock begins: then up to that message.
 
     Parameters
     ----------
     clock : VehicleClock
         The vehicle's clock.
     samplers : Sequence[SamplerCore]
-        Samplers that share this clock. Of each message they have their turns in this order.
+        Samplers that share this clock; each message goes to them in this order.
     batch : Batch
-        Messages of one vehicle, in the order of arrival. Those that are of no sampler's interest are passed over.
+        Messages of one vehicle, in the order of arrival. Those in which no sampler is interested are skipped.
     """
     cdef Py_ssize_t count = batch.count, place, used = batch.count
     cdef SamplerCore sampler
@@ -1733,13 +1733,13 @@ def sample_batch(VehicleClock clock not None, samplers, batch, bint stops=False)
 
 
 cdef list _interested(samplers, name):
-    """Return the streams that take messages of a name, with their samplers, in their turns."""
+    """Return the streams that take messages of a name, with their samplers, in their order."""
     cdef SamplerCore sampler
     return [(sampler, stream) for sampler in samplers for stream in sampler._streams.get(name, ())]
 
 
 cdef class _Feed:
-    """What one stream has of the messages of one name and sender: whether each is meant, its stamp, its values."""
+    """The messages of one name and sender as one stream sees them: whether selected, stamps, values."""
 
     cdef SamplerCore sampler
     cdef Stream stream
@@ -1823,7 +1823,7 @@ cdef class _Messages:
 
 
 cdef _Messages _of_messages(list members, list feeds):
-    """Return messages that are no columns, with what the channels read in each."""
+    """Return messages that are not columns, with the values that the channels read."""
     cdef Py_ssize_t count = len(members), row
     cdef _Messages group = _Messages.__new__(_Messages, count, False)
     cdef _Feed feed
@@ -1850,7 +1850,7 @@ cdef _Messages _of_messages(list members, list feeds):
 
 
 cdef _Messages _of_columns(columns, list feeds):
-    """Return the messages of columns, with what the channels read in each."""
+    """Return the messages of columns, with the values that the channels read."""
     cdef Py_ssize_t count = len(columns.position), row
     cdef _Messages group = _Messages.__new__(_Messages, count, columns.source.zero_stamp_is_unset)
     cdef _Feed feed
@@ -1877,7 +1877,7 @@ cdef _Messages _of_columns(columns, list feeds):
 
 
 cdef object _leaf(fields, path):
-    """Return the column at the path of a field: one number of each message; None where there is none."""
+    """Return the column at a field's path: one number of each message; None where there is none."""
     column = fields.get(path[0])
     if column is None or column.ndim != len(path):
         return None
@@ -1900,7 +1900,7 @@ cdef Field _field(places, path) except *:
 
 
 cdef list _clocks(channel):
-    """Return paths and units of the clock fields that a channel's message may have: its own, or the usual ones."""
+    """Return paths and units of the clock fields of a channel's message: its own, or the usual ones."""
     if channel.clock is None:
         return [((name,), channel.clock_unit_ns or unit_ns) for name, unit_ns in CLOCK_UNITS_NS.items()]
     unit_ns = channel.clock_unit_ns or CLOCK_UNITS_NS.get(channel.clock, 1)
@@ -1908,14 +1908,14 @@ cdef list _clocks(channel):
 
 
 cdef bint _open_column(column, View* view, Py_ssize_t count) except -1:
-    """Open a column of numbers; return whether it is one, to be released."""
+    """Open a column of numbers; return whether it is one, which has to be released."""
     if column is None:
         return False
     kind = column.dtype.kind
     if kind not in _NUMBERS or column.ndim != 1 or len(column) < count:
         return False
     if not column.dtype.isnative or (kind == "f" and column.dtype.itemsize not in (4, 8)):
-        # Another byte order, or numbers of another width, as numbers that can be read.
+        # Another byte order, or numbers of another width: convert them.
         column = column.astype(np.float64 if kind == "f" else column.dtype.newbyteorder("="))
     PyObject_GetBuffer(column, &view.buffer, PyBUF_STRIDES)
     view.start = <const char*>view.buffer.buf
@@ -1926,7 +1926,7 @@ cdef bint _open_column(column, View* view, Py_ssize_t count) except -1:
 
 
 cdef inline unsigned long long _unsigned_at(View* view, Py_ssize_t row) noexcept:
-    """Return an unsigned integer, or the bytes of a signed one; it need not lie at a multiple of its size."""
+    """Return an unsigned integer, or the bytes of a signed one, at any address."""
     cdef const char* at = view.start + row * view.stride
     cdef unsigned char one
     cdef unsigned short two
@@ -1946,7 +1946,7 @@ cdef inline unsigned long long _unsigned_at(View* view, Py_ssize_t row) noexcept
 
 
 cdef inline long long _signed_at(View* view, Py_ssize_t row) noexcept:
-    """Return a signed integer: the shift to the right brings its sign along, as GCC and Clang have it."""
+    """Return a signed integer: shifting to the right keeps the sign, as GCC and Clang do it."""
     cdef int spare = 64 - 8 * <int>view.size
     return <long long>(_unsigned_at(view, row) << spare) >> spare
 
@@ -1981,7 +1981,7 @@ cdef int _read_times(column, nanoseconds* out, Py_ssize_t count) except -1:
 
 cdef int _read_values(View* view, const Scaling* scaling, double* out, Py_ssize_t stride,
                       Py_ssize_t count) except -1:
-    """Read a channel's values, NaN where there is no number that can be one (rule 7); NULL: none is there."""
+    """Read a channel's values, NaN where a number is missing or impossible (rule 7); NULL: all are missing."""
     cdef Py_ssize_t row
     cdef double value
     if view == NULL:
@@ -1996,7 +1996,7 @@ cdef int _read_values(View* view, const Scaling* scaling, double* out, Py_ssize_
 
 
 cdef int _stand_in(const Scaling* scalings, double* values, Py_ssize_t width, Py_ssize_t count) except -1:
-    """Give motors that are stopped while others turn what stands for it; where none turns, the vehicle does not fly."""
+    """Replace the values of stopped motors while others turn; where none turns the vehicle does not fly."""
     cdef Py_ssize_t row, i
     cdef double* value
     cdef double stopped = STOPPED
@@ -2012,7 +2012,7 @@ cdef int _stand_in(const Scaling* scalings, double* values, Py_ssize_t width, Py
 
 
 cdef int _read_clock(View* view, unit_ns, nanoseconds* out, Py_ssize_t count) except -1:
-    """Read the stamps of one clock field where none is known yet; codes where it holds none or one out of range."""
+    """Read the stamps of one clock field where none is known yet; codes where it has none or one out of range."""
     cdef Py_ssize_t row
     cdef nanoseconds most = (MAX_STAMP_NS - 1) // unit_ns, unit = unit_ns if most else 0
     cdef double factor = unit_ns, stamp
@@ -2036,7 +2036,7 @@ cdef int _read_clock(View* view, unit_ns, nanoseconds* out, Py_ssize_t count) ex
 
 
 cdef int _select(bint there, View* view, fields, path, value, char* chosen, Py_ssize_t count) except -1:
-    """Keep the messages whose field has a value; ``there``: it is one of the numbers opened."""
+    """Keep the messages whose field has a value; ``there``: it was opened as numbers."""
     cdef Py_ssize_t row
     cdef long long wanted
     if there and isinstance(value, int) and -MAX_STAMP_NS < value < MAX_STAMP_NS:
@@ -2058,7 +2058,7 @@ cdef int _select(bint there, View* view, fields, path, value, char* chosen, Py_s
 
 
 cdef int _reach(bint there, View* view, double least, char* chosen, Py_ssize_t count) except -1:
-    """Keep the messages whose field is a number of at least so much; ``there``: it is one of those opened."""
+    """Keep the messages whose field is at least a number; ``there``: it was opened as numbers."""
     cdef Py_ssize_t row
     for row in range(count):
         chosen[row] &= there and _double_at(view, row) >= least
