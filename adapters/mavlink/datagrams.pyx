@@ -1,9 +1,10 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""Datagrams of a UDP socket, read without Python's lock and shared out by sender: a flood costs nobody else's packets.
+"""Reads datagrams of a UDP socket without Python's lock, and shares memory among senders.
 
-The kernel has one buffer for all that send to a port. So it is emptied whenever Python is busy, too, into memory that
-senders share by dynamic thresholds (Choudhury and Hahne, "Dynamic queue length thresholds for shared-memory packet
-switches", 1998): one may hold as much as is free, so one that floods holds half, and who sends little finds room.
+A sender that floods costs no other sender's packets. The kernel has one buffer for all senders to a port, so it is
+emptied even while Python is busy, into memory that senders share by dynamic thresholds (Choudhury and Hahne, "Dynamic
+queue length thresholds for shared-memory packet switches", 1998): a sender may hold as much as is free, so one that
+floods holds half, and the others find room.
 """
 
 from cpython.bytes cimport PyBytes_FromStringAndSize
@@ -62,27 +63,27 @@ cdef enum:
     LARGEST = 1 << 16  # bytes of a datagram
     ADDRESS = 28  # bytes of the address of IPv6, the larger one
     ANCILLARY = 128
-    SENDERS = 64  # that hold memory each for itself: four for each of 16 vehicles; all others are one
-    OVERHEAD = 256  # bytes that a datagram counts beside its own: more than it takes here and in Python
-    MEMORY = 1 << 24  # half of it is half a second of 50,000 small datagrams a second
-    AT_ONCE = 4096  # datagrams after which a flood lets go of the lock
-    BUSY = 128  # datagrams of one turn from which the kernel's buffer may be full soon: a quarter of Linux's usual one
-# Turns of the thread that empties the kernel's buffer while nobody reads. At first as often as half a batch of 20 ms;
-# beside a flood so often that Linux's usual buffer, of some 550 small datagrams, takes 250,000 a second.
+    SENDERS = 64  # senders with memory of their own: four for each of 16 vehicles; all others share that of one
+    OVERHEAD = 256  # bytes that a datagram counts besides its own: more than it takes here and in Python
+    MEMORY = 1 << 24  # bytes; half of it holds half a second of 50,000 small datagrams a second
+    AT_ONCE = 4096  # datagrams after which the lock is released during a flood
+    BUSY = 128  # datagrams of one turn after which the kernel's buffer may soon be full: a quarter of Linux's usual one
+# Pauses of the thread that empties the kernel's buffer while nobody reads: at first half a batch of 20 ms; during a
+# flood so short that Linux's usual buffer, of some 550 small datagrams, takes 250,000 a second.
 cdef long IDLE_NS = 10_000_000
 cdef long BUSY_NS = 2_000_000
-# A datagram that seems to have waited longer than this came before the clock was set.
+# A datagram that seems to have waited longer arrived before the clock was set.
 cdef int64_t LONGEST_WAIT_NS = 10_000_000_000
-# What did not get its turn for so long is dropped. Chosen: 3,000 packets that a link held back are read in twelve turns
-# of 256, 20 ms apart; a sender that is always behind is to be shown as it is now.
+# A datagram that has waited longer for its turn is dropped. Chosen: 3,000 packets that a link held back are read in
+# twelve turns of 256, 20 ms apart; of a sender that is always behind, the present packets are wanted.
 cdef int64_t OLDEST_NS = 250_000_000
-# A sender that has been silent for longer gives way to another one, as in packets.pyx.
+# The memory of a sender that was silent for longer goes to another one, as in packets.pyx.
 cdef int64_t AWAY_NS = 10_000_000_000
 
 cdef struct Datagram:
     Datagram* following
     int64_t number, received_ns
-    int64_t since_ns  # in this memory, of the monotonic clock
+    int64_t since_ns  # in this memory, by the monotonic clock
     uint32_t size
     unsigned int address_size
     uint8_t[ADDRESS] address
@@ -92,7 +93,7 @@ cdef struct Sender:
     Datagram* first
     Datagram* last
     int64_t held  # bytes of memory
-    int64_t seen_ns  # of the monotonic clock; 0: nobody's
+    int64_t seen_ns  # by the monotonic clock; 0: unused
     uint8_t system
     uint8_t[ADDRESS] address
 
@@ -109,19 +110,19 @@ cdef int _by_number(const void* one, const void* other) noexcept nogil:
 
 
 cdef class DatagramBox:
-    """What came to a socket that does not block. One thread reads, another one is in :meth:`keep` until :meth:`close`.
+    """Datagrams of a nonblocking socket. One thread reads, another one is in :meth:`keep` until :meth:`close`.
 
     Parameters
     ----------
     fd : int
-        Its descriptor.
+        The socket's descriptor.
     most_of_one : int
         Datagrams of one sender (address and the system id that its packets bear) in one read.
 
     Attributes
     ----------
     dropped : int
-        Datagrams that the kernel had no room for, or that a sender lost here because it held too much.
+        Datagrams for which the kernel, or the sender's share of the memory, had no room.
     """
 
     cdef int _fd
@@ -133,7 +134,7 @@ cdef class DatagramBox:
     cdef PyThread_type_lock _lock
     cdef uint8_t* _buffer
     cdef Datagram** _taken
-    cdef Sender[SENDERS + 1] _senders  # the last one is all others
+    cdef Sender[SENDERS + 1] _senders  # the last one is for all others
     cdef dict _addresses
 
     def __cinit__(self, int fd, Py_ssize_t most_of_one):
@@ -167,7 +168,7 @@ cdef class DatagramBox:
                 pause.tv_sec, pause.tv_nsec = 0, BUSY_NS if self._busy else IDLE_NS
                 nanosleep(&pause, NULL)
                 PyThread_acquire_lock(self._lock, WAIT_LOCK)
-                # Who waits reads at once.
+                # A reading thread reads at once.
                 if not self._waiting and not self._closing:
                     self._receive()
                 PyThread_release_lock(self._lock)
@@ -177,12 +178,12 @@ cdef class DatagramBox:
         self._closing = True
 
     def read(self, double timeout_s):
-        """Return what has come, each sender's oldest first; wait at most so long for the first.
+        """Return the datagrams that came, each sender's oldest first; wait up to a time for the first one.
 
         Returns
         -------
         list[tuple[address, bytes, int]]
-            In the order of arrival: who sent it, its bytes, and its time of arrival, Unix nanoseconds.
+            In the order of arrival: sender, bytes, and time of arrival in Unix nanoseconds.
         """
         cdef Py_ssize_t count
         cdef pollfd source
@@ -211,7 +212,7 @@ cdef class DatagramBox:
         return found
 
     cdef object _address(self, const Datagram* one):
-        """Return an address as the socket module has it."""
+        """Return an address in the form of the socket module."""
         cdef bytes raw = one.address[:one.address_size]
         address = self._addresses.get(raw)
         if address is None:
@@ -227,7 +228,7 @@ cdef class DatagramBox:
         return address
 
     cdef Py_ssize_t _take(self) noexcept nogil:
-        """Take the oldest of each sender, in the order of arrival; return how many."""
+        """Take the oldest datagrams of each sender, in the order of arrival; return their number."""
         cdef Py_ssize_t k, _n, count = 0
         cdef Datagram* one
         cdef int64_t oldest_ns = _now_ns(CLOCK_MONOTONIC) - OLDEST_NS
@@ -245,7 +246,7 @@ cdef class DatagramBox:
         return count
 
     cdef Datagram* _next(self, Sender* sender) noexcept nogil:
-        """Take a sender's oldest, NULL where there is none."""
+        """Take a sender's oldest datagram, NULL where there is none."""
         cdef Datagram* one = sender.first
         if one != NULL:
             sender.first = one.following
@@ -254,7 +255,7 @@ cdef class DatagramBox:
         return one
 
     cdef void _receive(self) noexcept nogil:
-        """Take what the kernel holds."""
+        """Take all datagrams that the kernel has."""
         cdef int64_t now_ns = _now_ns(CLOCK_REALTIME), steady_ns = _now_ns(CLOCK_MONOTONIC), received_ns
         cdef Py_ssize_t count = 0
         cdef ssize_t size
@@ -273,7 +274,7 @@ cdef class DatagramBox:
             message.msg_control, message.msg_controllen = ancillary, ANCILLARY
             size = recvmsg(self._fd, &message, MSG_DONTWAIT)
             if size < 0:
-                # Anything but an empty buffer is what an earlier answer met on its way: told once, and gone.
+                # Any error but an empty buffer belongs to an answer sent before: it is reported once, and gone.
                 if errno == EAGAIN or errno == EWOULDBLOCK or count == AT_ONCE - 1:
                     break
                 count += 1
@@ -304,7 +305,7 @@ cdef class DatagramBox:
         self._busy = count >= BUSY
 
     cdef int64_t _look(self, msghdr* message, int64_t now_ns) noexcept nogil:
-        """Return the time of arrival that the kernel tells, and count the drops that it tells."""
+        """Return the time of arrival by the kernel, and count the drops that it reports."""
         cdef cmsghdr* header = CMSG_FIRSTHDR(message)
         cdef timespec stamp
         cdef int64_t kernel_ns, received_ns = now_ns
@@ -313,7 +314,7 @@ cdef class DatagramBox:
             if header.cmsg_type == SO_TIMESTAMPNS:
                 memcpy(&stamp, CMSG_DATA(header), sizeof(timespec))
                 kernel_ns = <int64_t>stamp.tv_sec * 1_000_000_000 + stamp.tv_nsec
-                # It may come while the others are read.
+                # A datagram may arrive while the others are read.
                 if kernel_ns - now_ns > 0 and kernel_ns - now_ns < LONGEST_WAIT_NS:
                     now_ns = _now_ns(CLOCK_REALTIME)
                     received_ns = now_ns
@@ -327,7 +328,7 @@ cdef class DatagramBox:
         return received_ns
 
     cdef uint8_t _system(self, ssize_t size) noexcept nogil:
-        """Return the system id of the packet that the datagram begins with, 0 where it begins with none."""
+        """Return the system id of the packet at the datagram's begin, 0 where there is none."""
         if size > 5 and self._buffer[0] == 0xFD:
             return self._buffer[5]
         return self._buffer[3] if size > 3 and self._buffer[0] == 0xFE else 0

@@ -6,8 +6,8 @@ A packet (https://mavlink.io/en/guide/serialization.html) is
     version 1: FE, length, sequence, system, component, id (1 byte), payload, checksum (2)
     version 2: FD, length, flags (2), sequence, system, component, id (3), payload, checksum (2), signature (13)
 
-with a signature where the first bit of the first flags says so; others are not defined there. The checksum (X.25)
-includes a byte that stands for the message's definition.
+where the signature is present if the first bit of the first flags is set; other flags are not defined. The checksum
+(X.25) includes a byte that stands for the message's definition.
 """
 
 from cpython.bytes cimport PyBytes_AS_STRING, PyBytes_FromStringAndSize
@@ -19,21 +19,23 @@ import numpy as np
 
 from adapters.message import LATEST_NS
 
-cdef uint64_t LATEST_US = LATEST_NS // 1_000  # where a later time stands, no record begins
+cdef uint64_t LATEST_US = LATEST_NS // 1_000  # no record begins with a later time
 
-# How long a packet's number is remembered. A vehicle that starts anew is away for longer; where it is not, conflicts
-# end as soon, for what it sent before is forgotten.
+# How long a packet's number is remembered. A vehicle that restarts is away for longer; otherwise conflicts end after
+# this time, as the numbers before the restart are forgotten.
 cdef int64_t FRESH_NS = 2_000_000_000
-# So much later a packet may come a second time over a slower radio; as core/sampling.pyx has it.
+# Duplicates over a slower radio come up to this much later; as in core/sampling.pyx.
 cdef int64_t HELD_NS = 5_000_000_000
-# Further behind a packet that was not missing is the first after a restart. Chosen: more than networks reorder.
+# A packet further behind, which was not missing, is the first after a restart. Chosen: more than networks reorder.
 cdef int REORDERED = 32
-# After a longer silence a number is taken to be ahead: so many may have been lost that it seems to lie behind. Chosen:
-# of 1,000 packets a second, as many as a link carries, no more than half a turn is lost in less.
+# After a longer silence a number counts as ahead: so many may have been lost that it seems to be behind. Chosen: of
+# 1,000 packets a second, the most that a link carries, less than half a turn is lost in this time.
 cdef int64_t SILENT_NS = 100_000_000
-# Conflicts with longer pauses do not go on. Chosen: an attacker once a second, of whose packets every second collides.
+# Conflicts with longer pauses are not one series. Chosen: an attacker who sends once a second, half of whose packets
+# collide.
 cdef int64_t PAUSE_NS = 5_000_000_000
-# A sender that has been silent for longer gives way to another one. Chosen: as long as a link waits for a heartbeat.
+# The memory of a sender that was silent for longer goes to another one. Chosen: as long as a link waits for a
+# heartbeat.
 cdef int64_t AWAY_NS = 10_000_000_000
 
 cdef enum:
@@ -45,13 +47,13 @@ cdef enum:
     SIGNATURE = 13
     SIGNED = 1  # MAVLINK_IFLAG_SIGNED
     UNKNOWN = -1  # kind of a message that is not in the dialect
-    TYPE = 4  # byte of HEARTBEAT, the first message of the dialect, with the type of what sends it
+    TYPE = 4  # index of the byte of HEARTBEAT, the first message of the dialect, with the type of its sender
     GROUND_STATION = 6  # MAV_TYPE_GCS
     MISSING = -1
     SENDERS = 128  # whose numbers are compared: two of each of 64 vehicles, 6 KB each
-    CONFLICTS = 3  # that show two senders: one by chance, and one when a sender starts anew, are none
+    CONFLICTS = 3  # that are two senders: chance makes one, a sender's restart another
     STAMP = 8  # bytes of a telemetry log before each packet: microseconds since 1970, big-endian
-    # Of a record that does not begin where one is looked for, and of one whose end has not come yet.
+    # Results where no record begins, and where its end has not come yet.
     NONE = 0
     UNDECIDED = -1
 
@@ -68,7 +70,7 @@ cdef struct Packet:
 
 
 cdef uint16_t _checksum(const uint8_t* data, Py_ssize_t size, uint8_t extra) noexcept nogil:
-    """Return the checksum of a packet whose head and payload are ``size`` bytes, the first of which does not count."""
+    """Return the checksum of a packet whose head and payload are ``size`` bytes; the first one is left out."""
     cdef uint16_t crc = 0xFFFF
     cdef uint8_t low
     cdef Py_ssize_t k
@@ -80,12 +82,12 @@ cdef uint16_t _checksum(const uint8_t* data, Py_ssize_t size, uint8_t extra) noe
 
 
 def checksum(bytes packet not None, uint8_t extra):
-    """Return the checksum that belongs behind a packet's head and payload, of a message that ``extra`` stands for."""
+    """Return the checksum of a packet's head and payload; ``extra`` stands for the message's definition."""
     return _checksum(<const uint8_t*>PyBytes_AS_STRING(packet), len(packet), extra)
 
 
 cdef class Dialect:
-    """The definitions of n messages, as far as their packets are checked by them.
+    """The parts of n messages' definitions by which packets are checked.
 
     Parameters
     ----------
@@ -94,7 +96,7 @@ cdef class Dialect:
     extras : Sequence[int]
         The byte of each in the checksum.
     sizes : Sequence[int]
-        Bytes of a payload from which nothing is cut off.
+        Bytes of a full payload.
     """
 
     cdef int16_t* kinds  # by id
@@ -156,9 +158,9 @@ cdef class PacketList:
         return 0
 
     def items(self, Py_ssize_t first=0, bytes wanted=None):
-        """Return time of arrival and bytes of the packets from index ``first`` on, those of wanted kinds alone.
+        """Return time of arrival and bytes of the packets from index ``first`` on, of wanted kinds only.
 
-        ``wanted`` holds a byte for each kind, not zero where it is wanted.
+        ``wanted`` has a byte for each kind, not zero where it is wanted.
         """
         cdef Packet* row
         found = []
@@ -170,7 +172,7 @@ cdef class PacketList:
         return found
 
     def keep(self, Py_ssize_t first, list admitted not None):
-        """Keep of the packets from index ``first`` on those that are admitted (bool)."""
+        """Keep, of the packets from index ``first`` on, only those that are admitted (bool)."""
         cdef Py_ssize_t k, kept = first
         for k in range(first, self.count):
             if admitted[k - first]:
@@ -184,16 +186,16 @@ cdef class PacketList:
         Returns
         -------
         list[tuple[int, int, int, int, int, int]]
-            Of each group kind, system, component, number of packets, and where it begins in the arrays and the bytes.
+            For each group: kind, system, component, number of packets, and where it begins in the arrays and the bytes.
         NDArray[np.int64], NDArray[np.int64]
-            Index of each among all wanted ones, and time of arrival, group after group.
+            Index of each packet among all wanted ones, and time of arrival, group after group.
         bytes
-            Payloads, group after group, each as long as its definition has it: cut, or with zeros at its end.
+            Payloads, group after group, each as long as in its definition: cut, or filled with zeros.
         """
         cdef Py_ssize_t k, at, group, place, index = 0
         cdef Packet* row
         cdef dict numbers = {}
-        # By packet its group; by group the number of packets, where the next one goes, and where its payload goes.
+        # By packet: its group. By group: number of packets, next index, next offset of a payload.
         cdef Py_ssize_t* work = <Py_ssize_t*>PyMem_Malloc(4 * (self.count + 1) * sizeof(Py_ssize_t))
         if work == NULL:
             raise MemoryError
@@ -231,7 +233,7 @@ cdef class PacketList:
         self, Py_ssize_t* groups, Py_ssize_t* places, Py_ssize_t* offsets, int64_t[::1] positions,
         int64_t[::1] received, uint8_t* content,
     ) except -1:
-        """Write the arrays and bytes of :meth:`groups`, each group from its place and offset on."""
+        """Write the arrays and bytes of :meth:`groups`, each group from its index and offset on."""
         cdef Py_ssize_t k, group, size, length, index = 0
         cdef Packet* row
         for k in range(self.count):
@@ -375,7 +377,7 @@ cdef class PacketScanner:
             if end + self._stamp >= size:
                 return missing
             return end if data[end + self._stamp] == MAGIC_1 or data[end + self._stamp] == MAGIC_2 else NONE
-        # Version 1 knows no fields beyond the definition; version 2 may carry fields of a newer one.
+        # Version 1 has no fields beyond the definition; version 2 may carry fields of a newer one.
         if (is_2 or packet.length <= self._dialect.sizes[packet.kind]) and not (
             self._stamp and _stamp_us(at - STAMP) >= LATEST_US
         ):
@@ -389,32 +391,31 @@ cdef class PacketScanner:
 
 
 cdef struct Numbered:
-    int64_t index  # its number without turns
+    int64_t index  # its sequence number without wrapping
     int64_t received_ns  # MISSING where it has not come
     uint16_t checksum
 
 
 cdef struct Sender:
     Py_ssize_t ids  # system and component; -1: nobody
-    int64_t newest  # number of its newest packet without turns
+    int64_t newest  # number of its newest packet, without wrapping
     uint8_t counted  # sequence number up to which losses are counted
     int64_t advanced  # the same at the last conflict
     int64_t received_ns
-    int64_t first_ns, last_ns  # the first and the last of its conflicts that go on
-    int64_t lasting, conflicts  # how many go on; all
+    int64_t first_ns, last_ns  # times of the first and the last conflict of the present series
+    int64_t lasting, conflicts  # length of the series; number of all conflicts
     Numbered[256] packets
 
 
 cdef class SequenceCounter:
-    """Compares sequence numbers of each system and component: counts what was lost, and finds two senders of one id.
+    """Compares sequence numbers of each system and component: counts lost packets, and finds two senders of one id.
 
-    Two packets of one number, none more than a turn of 256 behind the other, are a conflict unless they are the same
-    packet, which came twice. A sender that starts anew makes conflicts, too, but only with what came before: three over
-    more than 2 s have two senders.
-
-    What is missing counts as lost until it comes, up to half a turn behind the newest; a gap of half a turn and more
-    counts as none. Of ground stations nothing is counted as lost: they count all that they send, and of that only
-    heartbeats are forwarded. Its memory does not grow with senders: packets of strangers may claim to be anybody's.
+    Two packets with one number, neither more than a turn of 256 behind the other, are a conflict unless they are the
+    same packet, which came twice. A sender that restarts makes conflicts, too, but only with its packets from before:
+    three conflicts over more than 2 s come from two senders. A missing packet counts as lost until it comes, up to half
+    a turn behind the newest; a gap of half a turn and more does not count. No losses are counted for ground stations:
+    they number all packets that they send, of which only heartbeats are forwarded. Memory does not grow with senders:
+    packets may claim any id.
     """
 
     cdef int64_t[::1] _lost
@@ -436,19 +437,19 @@ cdef class SequenceCounter:
         PyMem_Free(self._senders)
 
     def count(self, PacketList packets not None, bytes wanted=None):
-        """Take the next packets.
+        """Process the next packets.
 
         Parameters
         ----------
         packets : PacketList
             The packets.
         wanted : bytes | None
-            A byte for each kind, not zero where it counts below; None: each does.
+            A byte for each kind, not zero where it is counted in the result; None: each is.
 
         Returns
         -------
         list[tuple[int, int, int, int, int]]
-            Of packets that show two senders: how many wanted ones came up to it, its time of arrival, system and
+            For packets that show two senders: number of wanted packets up to this one, time of arrival, system and
             component, and the conflicts so far.
         """
         cdef Py_ssize_t k, place = 0
@@ -466,7 +467,7 @@ cdef class SequenceCounter:
         return found
 
     cdef Sender* _sender(self, Py_ssize_t ids, int64_t received_ns) noexcept:
-        """Return what is known of a sender, NULL where there are too many."""
+        """Return the memory of a sender, NULL where there are too many senders."""
         cdef Py_ssize_t k
         cdef Sender* oldest = self._senders
         for k in range(SENDERS):
@@ -481,7 +482,7 @@ cdef class SequenceCounter:
         return oldest
 
     cdef bint _conflicts(self, Sender* known, const Packet* row, const uint8_t* end) noexcept:
-        """Remember a packet; return whether two senders have shown themselves with it."""
+        """Remember a packet; return whether it shows that there are two senders."""
         cdef Numbered* before = known.packets + row.sequence
         cdef uint16_t checksum = end[0] | end[1] << 8
         cdef int64_t index, ahead, gone
@@ -491,8 +492,8 @@ cdef class SequenceCounter:
         known.received_ns = row.received_ns
         ahead = (row.sequence - known.newest) & 0xFF
         index = known.newest + (ahead if ahead < 128 or silent else ahead - 256)
-        # Twice, over two radios for instance. A turn of numbers later one packet of 65,536 has the same checksum, too,
-        # but it is the next one.
+        # A duplicate, over two radios for instance. One turn of numbers later one packet of 65,536 has the same
+        # checksum, too, but it is the next one by number.
         if 0 <= row.received_ns - before.received_ns < HELD_NS and before.checksum == checksum and (
             before.index == index or ahead != 1
         ):
@@ -506,7 +507,7 @@ cdef class SequenceCounter:
             self._lost[row.system] += self._miss(known, index - gone + 1, index)
             known.counted = row.sequence
         known.newest = max(known.newest, index)
-        # Who does not count at all has one number.
+        # A sender that does not count up always sends one number.
         conflict = fresh and before.index == index and known.newest > known.advanced
         before.index, before.received_ns, before.checksum = index, row.received_ns, checksum
         if not conflict:
@@ -520,7 +521,7 @@ cdef class SequenceCounter:
         return known.lasting >= CONFLICTS and known.last_ns - known.first_ns > FRESH_NS
 
     cdef int64_t _miss(self, Sender* known, int64_t start, int64_t stop) noexcept:
-        """Note what of a gap has not come; return how many."""
+        """Mark the packets of a gap as missing; return their number."""
         cdef Numbered* one
         cdef int64_t index, count = 0
         for index in range(start, stop):
@@ -531,13 +532,13 @@ cdef class SequenceCounter:
         return count
 
     def lost(self):
-        """Return the packets lost by system, of vehicles that lost any; never fewer than it was before."""
+        """Return the lost packets by system, of vehicles that lost any; a result never decreases."""
         self._told = np.maximum(self._told, self._lost)
         return {system: lost for system, lost in enumerate(self._told) if lost and not self._stations[system]}
 
 
 cdef uint64_t _stamp_us(const uint8_t* data) noexcept nogil:
-    """Return the time of arrival that stands before a packet, microseconds."""
+    """Return the time of arrival before a packet, microseconds."""
     cdef uint64_t stamp = 0
     cdef Py_ssize_t k
     for k in range(STAMP):
