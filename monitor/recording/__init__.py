@@ -1,1 +1,1 @@
-"""What is kept: MCAP files within a budget, clips around alarms, the journal of alarm events."""
+"""Storage: MCAP files within a budget, clips around alarms, the journal of alarm events."""

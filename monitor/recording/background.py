@@ -1,4 +1,4 @@
-"""Work that waits for a disk, in threads of its own: a disk that hangs costs recordings, not monitoring."""
+"""Work that waits for a disk, in its own threads: a disk that hangs costs recordings, not monitoring."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ with 1,000 a second and 10 s of sixteen, so that pauses of an SD card (seconds) 
 _SAMPLE_BYTES = 500
 """Memory of a sample with its estimate: some 60 numbers of two observers."""
 _JOBS = 50_000
-"""Most jobs without rows that wait: alarm events and flushes."""
+"""Most waiting jobs without rows: alarm events and flushes."""
 _CLIP_RECORDS = 300
-"""Records of clips written in one turn, twenty times a second: about 10 ms, six times what a vehicle makes."""
+"""Records of clips written in one turn, twenty times a second: they take about 10 ms and are six times what a vehicle
+sends."""
 _STALLED_S = 1.0
 """A job that takes this long has a disk that hangs: a thousand times the usual time."""
 _BUSY = 0.01
@@ -33,16 +34,16 @@ _BUSY = 0.01
 disk. Chosen: the writer of sixteen vehicles gets several times as much of a seventh of a core, and a thread that
 hangs uses none."""
 FINISH_S = 8.0
-"""Time for the jobs that still wait at the end. Chosen: the unit allows 20 s for stopping, and there are two threads to
-wait for."""
+"""Time for the jobs that still wait at the end. Chosen: the systemd unit allows 20 s for stopping, and there are two
+threads to wait for."""
 
 
 class Turn:
-    """Lets one of several threads write at a time: many at once would leave the one that watches too little time."""
+    """Lets one of several threads write at a time: many at once would take too much time from the monitoring thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        # when the current job began, monotonic; the clock of its thread's processor time, and its value then
+        # start of the current job, monotonic; the processor-time clock of its thread, and its value then
         self._begun: tuple[float, int, float] | None = None
 
     @property
@@ -70,7 +71,7 @@ _RECORDINGS = Turn()
 
 
 class DiskThread:
-    """Runs jobs one after the other in a thread; a job that finds too much waiting is refused.
+    """Runs jobs one after the other in a thread; refuses a job when too many wait.
 
     Jobs with a size do not wake the thread, since waking takes as long as some of them: they wait for the next job
     without a size, or until half of the room is taken. Threads that share a ``turn`` run their jobs one at a time.
@@ -104,7 +105,7 @@ class DiskThread:
     def wait(self, timeout_s: float) -> bool:
         """Wait until all queued jobs are done; return whether they are.
 
-        After a wait in vain, the next call does not wait until the thread has caught up.
+        After it timed out once, the next call waits only when the thread has caught up.
         """
         with self._changed:
             given = self._given
@@ -149,7 +150,7 @@ class DiskThread:
 
 
 class BackgroundArchive:
-    """An archive that is written in a thread, one of ``sharers``; records without room are lost and counted."""
+    """An archive written in a thread, one of ``sharers``; records without room are lost and counted."""
 
     def __init__(self, archive: Archive, vehicle: str, sharers: int = 1) -> None:
         self._archive = archive
@@ -170,7 +171,7 @@ class BackgroundArchive:
         self._put(functools.partial(self._archive.event, event), 1, 0)
 
     def flush(self) -> None:
-        """Hand the recording to the operating system, or try a disk again that refused; call it on a timer."""
+        """Flush the recording, or try a disk again that refused; call it on a timer."""
         self._thread.put(self._archive.flush)
 
     def work(self, now_ns: int) -> None:
@@ -183,7 +184,7 @@ class BackgroundArchive:
         return self._thread.wait(timeout_s)
 
     def close(self, metadata: Mapping[str, str]) -> None:
-        """Finish the recording and the open clips with more metadata, as far as the disk takes them in time."""
+        """Finish the recording and the open clips with more metadata, as far as the disk does so in time."""
         self._thread.put(functools.partial(self._archive.add_metadata, metadata))
         self._thread.put(self._archive.close)
         if not self._thread.close(FINISH_S):
@@ -203,7 +204,7 @@ class BackgroundArchive:
 
 
 class BackgroundJournal:
-    """A journal that is written in a thread, all events that wait in one transaction (group commit)."""
+    """A journal written in a thread, all waiting events in one transaction (group commit)."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
@@ -212,7 +213,7 @@ class BackgroundJournal:
         self._waiting: list[tuple[AlarmEvent, Mapping[str, Any] | None]] = []
         self._dropped = 0
         self._counts = journal.statistics()
-        # read without the disk
+        # read without access to the disk
         self.active, self.shelved, self.last_seq = journal.active, journal.shelved, journal.last_seq
         self.events = journal.events
 
@@ -228,15 +229,15 @@ class BackgroundJournal:
             self._thread.put(self._write)
 
     def shelve(self, vehicle: str, channels: Mapping[str, int]) -> None:
-        """Have the stored channels that are shelved replaced."""
+        """Have the stored shelved channels replaced."""
         self._thread.put(functools.partial(self._journal.shelve, vehicle, dict(channels)))
 
     def retry(self) -> None:
-        """Have events written that the disk refused; call it once a second."""
+        """Have the events written that the disk refused; call it once a second."""
         self._thread.put(self._retry)
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until all events are on the disk, as far as it takes them; return whether that is over."""
+        """Wait until all events are on the disk, or the time is over; return whether waiting is over."""
         return self._thread.wait(timeout_s)
 
     def statistics(self) -> JournalStatistics:
@@ -251,7 +252,7 @@ class BackgroundJournal:
         return replace(counts, pending=pending, dropped=counts.dropped + self._dropped, last_error=error)
 
     def close(self) -> None:
-        """Write what waits, as far as the disk takes it in time, and close."""
+        """Write waiting events, as far as the disk does so in time, and close."""
         self._thread.put(self._journal.close)
         if not self._thread.close(FINISH_S):
             logging.getLogger(__name__).error("the journal is not closed: the disk does not answer")

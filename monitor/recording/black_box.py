@@ -1,4 +1,4 @@
-"""Black box: each raised alarm leaves a clip of its own, from some seconds before to some seconds after."""
+"""Black box: for each raised alarm a clip of its own, from some seconds before to some seconds after."""
 
 from __future__ import annotations
 
@@ -21,18 +21,20 @@ from monitor.recording.retention import Retention, file_stem, writable_folder
 from monitor.sampling.phase import FlightPhase
 
 MAX_OPEN_CLIPS: Final = 4
-"""Clips being made at once. Chosen: they hold the same records, so a fifth tells nothing that four do not; an alarm
-beyond is named in the clips that cover it."""
+"""Most clips that are made at once. Chosen: they hold the same records, so a fifth adds nothing to four; a further
+alarm is named in the clips that cover it."""
 MAX_WAITING_CLIPS: Final = 8
-"""Clips that wait for a disk that refused them, with their records in memory: the oldest is given up for the next.
-Eight of at most :data:`BlackBox` ``held_bytes`` each share those bytes, since one moment's clips hold the same ones."""
+"""Most clips that wait, with their records in memory, for a disk that refused them; the oldest is given up for the next
+one. Eight clips of at most ``held_bytes`` of :class:`BlackBox` share those bytes, since clips of one moment hold the
+same records."""
 MAX_TRIES: Final = 60
-"""Tries, ten minutes in all, until a clip is given up. Chosen: no memory is kept for a disk without attendance."""
+"""Tries, over ten minutes, until a clip is given up. Chosen: no memory is kept longer for a disk that nobody attends
+to."""
 
 _PHASE_TOPICS = frozenset(f"/mavlink/{name}" for name in FlightPhase.interests)
-# The letters of Crockford's base 32, of which ULIDs are made (https://github.com/ulid/spec).
+# Letters of Crockford's base 32, of which ULIDs consist (https://github.com/ulid/spec).
 _ULID = r"[0-9A-HJKMNP-TV-Z]{26}"
-# Ids of alarms raised lately that a clip may have to name; more than a desk in flood raises in the seconds before one.
+# Ids of recent alarms that a clip may have to name: more than an alarm flood raises in the seconds before a clip.
 _MOST_RAISED = 256
 
 
@@ -44,14 +46,14 @@ class BlackBoxStatistics:
     held_bytes: int = 0
     open: int = 0  # clips being made, those that wait for the disk included
     written: int = 0  # clips completed
-    dropped: int = 0  # records left out of a clip that could not keep up, or was as large as a clip may be
+    dropped: int = 0  # records left out because a clip was too slow or already had its largest size
     failures: int = 0  # clips given up because they could not be written
-    failed: str | None = None  # the error with which a clip could not be written; None once the disk takes clips again
+    failed: str | None = None  # why a clip could not be written; None once the disk takes clips again
 
 
 @dataclass(slots=True)
 class _Clip:
-    """A clip being made: records that wait to be written, its file once there is one, and the records in that."""
+    """A clip being made: the records that wait, its file once there is one, and the number of records in the file."""
 
     path: Path
     begun_ns: int
@@ -62,7 +64,7 @@ class _Clip:
     log: RecordFile | None = None
     ended: bool = False
     done: list[EncodedRecord] | None = field(default_factory=list)
-    """Records to write again if the file has to be begun again; None where they are too many to be kept."""
+    """Records to write again if the file has to be begun again; None where they are too many to keep."""
     done_bytes: int = 0
     tries: int = 0
     retry_ns: int = 0
@@ -118,7 +120,7 @@ class BlackBox:
             self._folder, re.compile(f"{re.escape(self._stem)}-{_ULID}\\.mcap", re.ASCII), budget_bytes
         )
         self._now_ns: int | None = None
-        # Apart from the records, so that an alarm copies those in one call.
+        # Kept apart from the records, so that an alarm copies the records in one call.
         self._held: deque[EncodedRecord] = deque()
         self._arrived_ns: deque[int] = deque()
         self._phase: dict[int, EncodedRecord] = {}
@@ -151,7 +153,7 @@ class BlackBox:
         self._forget(times_ns[-1])
 
     def alarm(self, event: AlarmEvent) -> None:
-        """Begin the clip of an alarm that was just raised; events of other states change nothing."""
+        """Begin the clip of an alarm that was just raised; other events change nothing."""
         if event.state != "raised":
             return
         now = self._now_ns if self._now_ns is not None else event.time_ns
@@ -224,7 +226,7 @@ class BlackBox:
                 self._phase[topic] = record
 
     def _give(self, clip: _Clip, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> None:
-        """Give a clip the records of its span, which times of telemetry end."""
+        """Give a clip the records of its span, whose end is told by times of telemetry."""
         if clip.ended:
             return
         behind = (index for index, now_ns in enumerate(times_ns) if self._is_behind(clip, now_ns))
@@ -255,7 +257,7 @@ class BlackBox:
         while clip.waiting and count < max_records:
             log = clip.log = clip.log or self._start(clip)
             records = [*islice(clip.waiting, max_records - count)]
-            # near the end of a clip that is full ever fewer
+            # Near the end of a full clip fewer and fewer fit.
             while len(records) > 1 and log.size_with(records) > self._clip_bytes:
                 del records[len(records) // 2 :]
             for _ in records:
@@ -278,7 +280,7 @@ class BlackBox:
         return RecordFile(clip.path, self._topics, metadata, self._profile_files)
 
     def _complete(self, clip: _Clip) -> None:
-        """Finish a clip's file and make room for it."""
+        """Finish a clip's file and delete old ones for it."""
         if clip.log is not None:
             clip.log.close()
         self._clips.remove(clip)
@@ -287,7 +289,7 @@ class BlackBox:
         self._make_room(clip)
 
     def _recover(self) -> None:
-        """Clear the error now that the disk takes clips again, unless it refused another one."""
+        """Clear the error if the disk takes clips again and refuses no other one."""
         if not any(other.tries for other in self._clips):
             self._counts.failed = None
 

@@ -1,4 +1,4 @@
-"""What viewers draw by themselves: lines of a log and places on a map, in the schemas that Foxglove knows.
+"""Records that viewers draw by themselves: lines of a log and places on a map, in Foxglove's schemas.
 
 https://docs.foxglove.dev/docs/sdk/schemas: ``foxglove.Log`` and ``foxglove.LocationFix``, as JSON.
 """
@@ -26,15 +26,15 @@ from monitor.recording.record_encoder import OWN_TOPICS, EncodedRecord, RecordEn
 _DEBUG, _INFO, _WARNING, _ERROR, _FATAL = range(1, 6)
 """Levels of ``foxglove.Log``."""
 _LEVELS = (_FATAL, _FATAL, _FATAL, _ERROR, _WARNING, _INFO, _INFO, _DEBUG)
-"""Levels of Foxglove by MAV_SEVERITY, from an emergency to debugging."""
+"""Foxglove's levels by MAV_SEVERITY, from emergency to debugging."""
 PULLED = ("gps_north", "gps_east")
-"""Fault channels that say by how much GPS is wrong."""
+"""Fault channels that are errors of the GPS position."""
 _MOST_WAITING = 10_000
-"""Places that wait for estimates at most, the oldest go. Chosen: more than a batch of a replay holds."""
+"""Most places that wait for estimates; the oldest are dropped. Chosen: more than a replay's batch holds."""
 EARTH_M = 6378137.0
 """The equator's radius of WGS 84."""
 _FIX_2D = 2
-"""GPS_FIX_TYPE: a position. Receivers without one say where they last were, or anything."""
+"""GPS_FIX_TYPE from which a position is one. Receivers without a fix repeat the last one, or send anything."""
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 
@@ -58,25 +58,25 @@ _LINE: Final[Mapping[str, Any]] = dict.fromkeys(("message", "name", "file"), _TE
 LOG: Final = _topic("log", "foxglove.Log", _LINE)
 """Every alarm event."""
 TEXTS: Final = _topic("texts", "foxglove.Log", _LINE)
-"""What the autopilot says: apart, so that the order of either does not depend on how the stream is cut."""
+"""Texts of the autopilot: a topic of their own, so that the order of neither depends on how the stream is cut."""
 GPS: Final = _topic("gps", "foxglove.LocationFix", _FIX)
-"""Where GPS says the vehicle is."""
+"""Position by GPS."""
 TRACK: Final = _topic("track", "foxglove.LocationFix", _FIX)
-"""Where it is by the estimates: the same, less what is attributed to a fault of GPS."""
+"""Position by GPS less the estimated fault of GPS."""
 
 
 class FoxgloveRecords:
-    """Makes these records of what an archive records anyway; the encoder numbers their topics."""
+    """Makes these records from an archive's other records; the encoder numbers their topics."""
 
     def __init__(self, encoder: RecordEncoder) -> None:
         self._encoder = encoder
         self._faults = {name: faults for name, faults in encoder.faults.items() if set(PULLED) <= set(faults)}
-        # places that no estimate has come for yet: time, latitude, longitude, altitude
+        # places that wait for an estimate: time, latitude, longitude, altitude
         self._last: tuple[int, NDArray[np.float64]] = (0, np.zeros(len(PULLED)))
         self._waiting: deque[tuple[int, float, float, float]] = deque(maxlen=_MOST_WAITING)
 
     def batch(self, batch: Batch) -> list[EncodedRecord]:
-        """Return the autopilot's texts, and the places that a batch says."""
+        """Return the records of a batch's texts and places of GPS."""
         records = [
             self._line(TEXTS, message.received_ns, _LEVELS[severity], text, "autopilot")
             for message in batch.others.values()
@@ -94,14 +94,14 @@ class FoxgloveRecords:
         return [record for record in records if 0 <= record[2] < LATEST_NS]
 
     def estimates(self, estimates: Estimates) -> list[EncodedRecord]:
-        """Return where the vehicle was by the estimates, for the places that waited for them."""
+        """Return the corrected places of those that waited for these estimates."""
         faults = self._faults.get(estimates.observer)
         times_ns = estimates.samples.time_ns
         if faults is None or not len(times_ns):
             return []
-        # the row before, too: what a place gets does not depend on how the stream is cut
+        # The row before counts too, so that the result does not depend on how the stream is cut.
         before_ns, before = self._last
-        # what is no evidence, as on the ground, is no pull
+        # An estimate that is no evidence, as on the ground, corrects nothing.
         pulls = np.where(estimates.armed[:, None], estimates.isolated[:, [faults.index(name) for name in PULLED]], 0.0)
         pulls = np.vstack((before, pulls))
         times_ns = np.concatenate(([before_ns], times_ns))
@@ -117,7 +117,7 @@ class FoxgloveRecords:
         return records
 
     def event(self, event: AlarmEvent) -> list[EncodedRecord]:
-        """Return the line of an alarm event."""
+        """Return the log line of an alarm event."""
         quiet = event.state in ("acknowledged", "shelved", "cleared")
         level = _INFO if quiet else _ERROR if event.severity == "critical" else _WARNING
         size = f" ({event.display})" if event.display else ""
@@ -143,7 +143,7 @@ def places(columns: Columns) -> Iterator[tuple[int, float, float, float]]:
     """Yield times, latitudes, longitudes and altitudes of a receiver's messages."""
     names, scales = ("latitude", "longitude", "altitude"), (1.0, 1.0, 1.0)
     if "latitude" not in columns.fields:
-        # MAVLink counts ten millionths of a degree, and millimetres
+        # MAVLink's units: 1e-7 degrees, and millimetres.
         names, scales = ("lat", "lon", "alt"), (1e-7, 1e-7, 1e-3)
     if not columns.fields.keys() >= set(names):
         return
@@ -153,6 +153,6 @@ def places(columns: Columns) -> Iterator[tuple[int, float, float, float]]:
     fixed = ~(fix < _FIX_2D)
     for time_ns, place in zip(columns.received_ns[fixed].tolist(), np.column_stack(numbers)[fixed], strict=True):
         latitude, longitude, altitude = (place * scales).tolist()
-        # a receiver without a fix says zero for both
+        # A receiver without a fix sends zero for both.
         if math.isfinite(sum(place)) and (latitude or longitude) and abs(latitude) < 90.0 and abs(longitude) <= 180.0:
             yield time_ns, latitude, longitude, altitude

@@ -1,4 +1,4 @@
-"""The journal: every alarm event exactly once, on disk before it is published, whatever becomes of the process.
+"""The journal: every alarm event exactly once, on disk before it is published, even if the process is killed.
 
 An SQLite database in WAL mode, whose every commit waits for the disk (``synchronous = FULL``): what
 :meth:`Journal.write` has committed survives ``kill -9`` and a power cut.
@@ -27,8 +27,8 @@ from monitor.event import AlarmEvent, valid_event
 from monitor.recording.journal_file import DamagedError, has_room, open_database, read_connection, set_aside
 
 PRUNED_AT_ONCE = 64
-"""Events deleted at most with each new one. Any number above 1 brings a journal back to its bound; 64 take
-0.25 ms (measured), which an alarm can wait for."""
+"""Most events deleted with each new one. Any number above 1 brings a journal back within its bound; 64 take 0.25 ms
+(measured), for which an alarm can wait."""
 LARGEST = (1 << 63) - 1
 """SQLite's largest integer."""
 
@@ -103,28 +103,29 @@ def plain(text: str) -> str:
 
 
 def bounded(number: int) -> int:
-    """Return the nearest number of 64 bits."""
+    """Return the number cut to 64 bits."""
     return max(-LARGEST, min(number, LARGEST))
 
 
 MAX_PENDING = 10_000
-"""Events that wait for the disk at most. Chosen: a night of alarms on a full disk, in 8 MB of memory."""
+"""Most events that wait for the disk. Chosen: a night of alarms on a full disk, in 8 MB of memory."""
 MAX_FRAME_BYTES = 1 << 15
-"""Largest freeze frame. Chosen: a copter's with two observers has 4.3 kB, so there is room for plants of hundreds of
-channels."""
+"""Largest freeze frame. Chosen: that of a copter with two observers has 4.3 kB, so there is room for plants with
+hundreds of channels."""
 MAX_ANSWER = 100_000
-"""Events that one query returns at most: some 40 MB of JSON, beyond which a caller should ask for less."""
+"""Most events that one query returns: some 40 MB of JSON."""
 LONGEST_QUERY_S = 2.0
-"""After which a query for past events is given up. Chosen: a hundred times what the largest answer takes."""
+"""Time after which a query for past events is given up. Chosen: a hundred times that of the largest answer."""
 _STEPS = 10_000
-"""Steps of SQLite's machine from one look at the clock to the next: about a millisecond."""
+"""Steps of SQLite's virtual machine between two looks at the clock: about a millisecond."""
 LATER_BYTES = 1 << 26
-"""Largest file of rows that the database does not take now. Chosen: :data:`MAX_PENDING` events with their frames."""
+"""Largest file of rows that the database does not take at present. Chosen: :data:`MAX_PENDING` events with their
+frames."""
 RETRIED_AT_ONCE = 200
 """Events of one transaction of a retry. Chosen: 200 take 2 to 6 ms (measured), which the monitoring loop can spare."""
 
 _FULL_S = 1.0
-"""After which a log without room is looked at again: as often as pending events are written."""
+"""Pause after which a write-ahead log without room is looked at again: that of retries."""
 
 _ACTIVE = """
 SELECT body FROM alarm JOIN event ON event.number = alarm.latest
@@ -137,19 +138,19 @@ SELECT number, body FROM event WHERE {} time_ns >= ? ORDER BY time_ns DESC, numb
 
 @dataclass(frozen=True, slots=True)
 class JournalStatistics:
-    """What a journal did since it was opened."""
+    """Counts of a journal since it was opened."""
 
     written: int = 0
-    duplicates: int = 0  # events given again, not written again
+    duplicates: int = 0  # events given again, which are not written again
     conflicts: int = 0  # events not written because another event has their vehicle and number
-    # events and freeze frames that no row can hold: numbers beyond 64 bits, frames that are no JSON or too large
+    # events and freeze frames that no row can hold: numbers beyond 64 bits, frames that are not JSON or too large
     rejected: int = 0
     pending: int = 0  # events in memory that wait for the disk
     dropped: int = 0  # events lost because too many were waiting
     pruned: int = 0  # old events deleted to keep the bound
-    # whether the file is open; where it cannot be at the start, every :meth:`Journal.retry` tries again
+    # whether the file is open; if it is not, every :meth:`Journal.retry` tries to open it
     open: bool = True
-    last_error: str | None = None  # the last error; it stays when it has passed
+    last_error: str | None = None  # the last error, kept after it has passed
 
 
 class Journal:
@@ -186,8 +187,8 @@ class Journal:
         self._counts = dict.fromkeys(("written", "duplicates", "conflicts", "rejected", "dropped", "pruned"), 0)
         self._last_error: str | None = None
         self._connection: sqlite3.Connection | None = None
-        self._file: tuple[int, int] | None = None  # which file is open, by device and number
-        self._index_bytes = 0  # longest index of its write-ahead log so far
+        self._file: tuple[int, int] | None = None  # device and number of the open file
+        self._index_bytes = 0  # largest size of its write-ahead log's index so far
         self._events = 0
         with self._lock:
             self._open()
@@ -204,7 +205,7 @@ class Journal:
         """Commit events with their freeze frames as :meth:`write` does, in one transaction: one wait for the disk."""
         with self._lock:
             rows = [row for event, frame in events if (row := self._row(event, frame)) is not None]
-            # After those that wait, so that the order is kept.
+            # After those that wait, to keep the order.
             if not rows or (not self._pending and self._has_room() and self._commit(rows)):
                 return
             self._pending.extend(rows)
@@ -301,9 +302,9 @@ class Journal:
             self._disconnect()
 
     def _keep_index(self) -> None:
-        """Make the log's index as long as it was where another program cut it, empty, so that SQLite fills it anew.
+        """Restore the length of the log's index, with zeros, after another program cut it; SQLite then fills it anew.
 
-        SQLite maps it into memory, and a process that reads behind the end of what it maps is ended by a signal.
+        SQLite maps it into memory, and a process that reads beyond the end of the mapped file is ended by a signal.
         """
         index = Path(f"{self._path}-shm")
         try:
@@ -337,7 +338,7 @@ class Journal:
             self._note(error)
 
     def _has_room(self) -> bool:
-        """Return whether the write-ahead log may grow; where it had no room, look again after a second."""
+        """Return whether the write-ahead log may grow; after it had no room, look again only after a second."""
         if self._connection is None:
             return False
         if time.monotonic() - self._full_s < _FULL_S:
@@ -354,7 +355,7 @@ class Journal:
         return False
 
     def _keep(self, rows: Sequence[JournalRow]) -> None:
-        """Put rows that the database does not take on the disk, beside it."""
+        """Write rows that the database does not take to the file beside it."""
         # A line that a full disk cut off ends here.
         lines = b"".join(b"\n" + to_json(astuple(row)) for row in rows) + b"\n"
         try:
@@ -367,7 +368,7 @@ class Journal:
             self._last_error = f"{self._later}: {error.strerror}"
 
     def _restore(self) -> None:
-        """Write the rows that an earlier run kept beside the database; what is damaged of them is left out."""
+        """Write the rows of that file from an earlier run to the database; damaged ones are left out."""
         try:
             lines = self._later.read_bytes().splitlines()
         except OSError:
@@ -436,7 +437,7 @@ class Journal:
             del self._shelved[vehicle]
 
     def _transact(self, work: Callable[[sqlite3.Connection], None]) -> bool:
-        """Let ``work`` write in one transaction; return whether the disk took it."""
+        """Call ``work`` in one transaction; return whether the disk took it."""
         if self._connection is None:
             return False
         try:
@@ -461,7 +462,7 @@ class Journal:
             raise OSError(f"{self._path}: journal cannot be read: {error}") from error
 
     def _readable(self, bodies: Iterable[str]) -> list[AlarmEvent]:
-        """Return events from their JSON, without those that a failing disk has changed."""
+        """Return events from their JSON, without those that a failing disk has damaged."""
         events = []
         for body in bodies:
             try:

@@ -1,4 +1,4 @@
-"""The journal's database file: created, opened again, refused where it is not ours, set aside where it is damaged."""
+"""The journal's database file: created, opened, refused if it is no journal, set aside if it is damaged."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from pathlib import Path
 from adapters.errors import StorageError
 
 APPLICATION_ID = 0x6661_756A
-"""SQLite's ``application_id`` of our journals: "fauj" in ASCII."""
+"""SQLite's ``application_id`` of a journal: "fauj" in ASCII."""
 SCHEMA_VERSION = 1
-"""Number of the tables' layout, in the file's user_version: what is not this is not written to."""
+"""Version of the tables, in the file's user_version; a file with another version is not written to."""
 BUSY_S = 0.05
-"""Seconds the writer waits for a lock of another process. Chosen: the loop that monitors waits along; an event
+"""Seconds for which the writer waits for another process's lock. Chosen: the monitoring loop waits as long; an event
 that is not written is retried once a second."""
 READ_BUSY_S = 1.0
-"""Seconds a reader waits for one; it runs in a thread that may wait, for a person who asked."""
+"""Seconds for which a reader waits for a lock; it runs in its own thread, for a person who asked."""
 WAL_PAGES = 1000
-"""Pages in the write-ahead log (4 MB) after which SQLite moves them into the database: its own default."""
+"""Pages in the write-ahead log (4 MB) after which SQLite moves them into the database: SQLite's default."""
 WAL_BYTES = 1 << 25
-"""Bytes of the write-ahead log from which nothing more goes into it, as another program's transaction keeps it from
-giving them back. Chosen: 32 MB, eight times where it is moved otherwise, and a thousand events."""
+"""Size of the write-ahead log, bytes, above which nothing is written, since another program's transaction keeps it from
+shrinking. Chosen: 32 MB, eight times the size at which it is usually moved, and a thousand events."""
 
 _MAGIC = b"SQLite format 3\0"
 _SIDECARS = ("-wal", "-shm", "-journal")
@@ -67,7 +67,7 @@ COMMIT;
 
 
 class DamagedError(Exception):
-    """The file was begun as a database and can no longer be read as one."""
+    """The file was a database once and cannot be read as one any more."""
 
 
 def open_database(path: Path) -> sqlite3.Connection:
@@ -109,13 +109,13 @@ def read_connection(path: Path, alone: bool = False) -> sqlite3.Connection:
     connection = sqlite3.connect(uri, uri=True, timeout=READ_BUSY_S, isolation_level=None)
     connection.text_factory = lambda text: text.decode(errors="replace")
     if alone:
-        # the index of the write-ahead log then lies in memory (sqlite.org/wal.html, "without shared-memory")
+        # The write-ahead log's index is then in memory (sqlite.org/wal.html, "without shared-memory").
         connection.execute("PRAGMA locking_mode = EXCLUSIVE")
     return connection
 
 
 def has_room(path: Path, connection: sqlite3.Connection) -> bool:
-    """Return whether the write-ahead log may grow; move it into the database where it may not."""
+    """Return whether the write-ahead log may grow; if it is full, try to move it into the database first."""
     log = path.with_name(path.name + "-wal")
     for checkpoint in (False, True):
         if checkpoint:
@@ -150,7 +150,7 @@ def set_aside(path: Path) -> Path:
 
 
 def _refuse_what_is_no_database(path: Path) -> None:
-    """Distinguish a file that never was a database (refused) from one that no longer is one (damaged)."""
+    """Distinguish a file that never was a database (refused) from a damaged one."""
     if not path.parent.is_dir():
         raise StorageError(f"{path}: no folder '{path.parent}' for the journal: create it")
     if path.is_dir():
@@ -195,7 +195,7 @@ def _prepare(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _explain(path: Path, error: sqlite3.DatabaseError) -> None:
-    """Raise the error that tells a user what SQLite's means; return where it may pass by itself."""
+    """Raise the error that explains SQLite's to a user; return if it may pass by itself."""
     code = (getattr(error, "sqlite_errorcode", None) or 0) & 0xFF
     if code in _PASSING:
         return

@@ -1,4 +1,4 @@
-"""Everything that a monitor receives and computes as records, encoded once for however many files will hold them."""
+"""Everything that a monitor receives and computes, as records, each encoded once for all files."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ _ALARM_JSON = Topic(
 
 
 class _RowType:
-    """``fauio.<observer>.<name>``: an observer's rows, each their times and fields named like the columns behind them.
+    """``fauio.<observer>.<name>``: an observer's rows, with times, and fields named like the columns of rows.
 
-    Characters that protobuf does not take become underscores.
+    Characters that protobuf does not allow become underscores.
     """
 
     def __init__(self, layout: Layout, name: str, fields: Sequence[Field]) -> None:
@@ -78,7 +78,7 @@ class _RowType:
 
 
 def _types(layout: Layout) -> tuple[_RowType, _RowType]:
-    """Return the types of the (u, y) that an observer was fed, and of its states, faults and residuals."""
+    """Return the protobuf types of an observer's samples (u, y), and of its states, faults and residuals."""
     faults, outputs = _numbers(layout.faults), _numbers(layout.outputs)
     u_y = (Field("u", _numbers(layout.inputs)), Field("y", outputs))
     flags = (Field("restart", "bool"), Field("complete", "bool"), Field("measured", "bool"))
@@ -141,7 +141,7 @@ class RecordEncoder:
         return [record for record in records if record is not None]
 
     def estimates(self, estimates: Estimates) -> list[EncodedRecord]:
-        """Return the samples that estimates were computed from and the estimates, in turn."""
+        """Return the records of the samples that estimates were computed from, and of the estimates."""
         name, samples = estimates.observer, estimates.samples
         sample_type, estimate_type = self._types[name]
         sample_topic = self._topic(f"{OWN_TOPICS}{name}/sample", sample_type.pb_class)
@@ -172,7 +172,7 @@ class RecordEncoder:
         ]
 
     def _encoded(self, columns: Columns) -> tuple[int, list[bytes]] | None:
-        """Return the number of the topic and the data of columns, None where no protobuf type holds them."""
+        """Return the number of the topic and the data of columns, None where no protobuf type can hold them."""
         ids = (columns.system, columns.component) if columns.source is MAVLINK else ()
         try:
             pb_class = columns_class(columns)
@@ -186,7 +186,7 @@ class RecordEncoder:
         return self._topic(f"/{columns.source}/{columns.name}", pb_class, columns.component), data
 
     def _encode_singly(self, messages: Iterable[tuple[int, Message]], records: list[EncodedRecord | None]) -> None:
-        """Set the records of messages at their places."""
+        """Store the records of messages at their indices."""
         for place, message in messages:
             try:
                 record = encode(message)
@@ -197,7 +197,7 @@ class RecordEncoder:
             records[place] = (topic, record.data, record.time_ns)
 
     def number(self, topic: Topic) -> int:
-        """Return a topic's number; they count from 0 in the order in which topics are first met."""
+        """Return a topic's number; topics are numbered from 0 as they first occur."""
         number = self._known.setdefault(topic, len(self.topics))
         if number == len(self.topics):
             self.topics.append(topic)

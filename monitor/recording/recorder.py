@@ -17,11 +17,12 @@ from monitor.recording.record_encoder import EncodedRecord, Topic
 from monitor.recording.retention import FileSeries
 
 MAX_PENDING_RECORDS: Final = 10_000
-"""Most records that wait. Chosen: two per event, so a night of 5,000 events on a full disk, in 4 MB of memory."""
+"""Most events' records that wait. Chosen: two per event, so a night of 5,000 events on a full disk, in 4 MB of
+memory."""
 METADATA: Final = "fauio"
-"""Name of the metadata record in our files."""
+"""Name of the metadata record in fauio's files."""
 RETRY_S: Final = 10.0
-"""Seconds after which a failed disk is tried again. Chosen: a full disk is freed by hand, so within minutes; each try
+"""Pause after which a failed disk is tried again, seconds. Chosen: a full disk is freed by hand, in minutes; each try
 may cost the monitoring loop the time of a failing system call."""
 
 # An upper bound of what a record adds to a file besides its data: the head (31 bytes), two index entries (16 each), and
@@ -44,7 +45,7 @@ class RecordFile(MessageLogWriter):
         profile_files: Mapping[str, bytes],
     ) -> None:
         self._topics = topics
-        # None for a topic that the file has no room for
+        # None for a topic for which the file has no room
         self._numbers: dict[int, int | None] = {}
         try:
             super().__init__(path)
@@ -63,7 +64,7 @@ class RecordFile(MessageLogWriter):
             raise
 
     def size_with(self, records: Sequence[EncodedRecord]) -> int:
-        """Return the largest size of the file, bytes, if it is closed after these records."""
+        """Return an upper bound of the file's size, bytes, if it is closed after these records."""
         new = {number for number, _, _ in records} - self._numbers.keys()
         schemas = [schema for number in new if (schema := self._topics[number].schema) is not None]
         written = sum([len(data) for _, data, _ in records]) + len(records) * _RECORD_MARGIN
@@ -138,7 +139,8 @@ class Recorder:
         self._log: RecordFile | None = None
         self._first_ns = self._given = 0
         self._arrived_ns: int | None = None
-        # alarm records given to the file in hand, with their numbers in it, until it was flushed; those without a file
+        # Records of alarm events written to the present file, with their numbers in it, until it is flushed; those
+        # without a file.
         self._unflushed: deque[tuple[int, EncodedRecord]] = deque(maxlen=MAX_PENDING_RECORDS)
         self._waiting: deque[EncodedRecord] = deque(maxlen=MAX_PENDING_RECORDS)
         self._closed = False
@@ -162,7 +164,7 @@ class Recorder:
             try:
                 log = self._log_for(records, times_ns)
                 if log is not None:
-                    # near the end of a file of a series ever fewer
+                    # Near the end of a file of a series fewer and fewer fit.
                     while count > 1 and not self._fits(log, records[:count], times_ns[:count]):
                         count //= 2
                     self._write(log, records[:count], keep)
@@ -177,7 +179,10 @@ class Recorder:
             records = records[count:]
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
-        """Fill in entries that were blank so far, in this file's metadata and in those that follow; lengths stay."""
+        """Fill in metadata entries that were blank so far, in this file and the following ones.
+
+        Lengths do not change.
+        """
         self._metadata.update(metadata)
         if self._log is not None and not self._log.failed:
             try:
@@ -186,7 +191,7 @@ class Recorder:
                 self._fail(error)
 
     def flush(self) -> None:
-        """Hand everything recorded so far to the operating system; after a failure, try again when that is due."""
+        """Flush all records to the operating system; after a failure, try again once the pause is over."""
         try:
             if self._log is not None and not self._log.failed:
                 self._log.flush()
@@ -217,7 +222,7 @@ class Recorder:
         self.close()
 
     def _write(self, log: RecordFile, records: Sequence[EncodedRecord], keep: bool) -> None:
-        """Give records to a file."""
+        """Write records to a file."""
         kept = log.recordable(records)
         self._counts.unrecordable += len(records) - len(kept)
         if keep:
@@ -226,7 +231,7 @@ class Recorder:
         log.add(kept)
 
     def _log_for(self, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> RecordFile | None:
-        """Return the file that the first of some records belongs into, None while there is none."""
+        """Return the file for the first of some records, None while there is none."""
         log = self._log
         if log is not None and not log.failed:
             if not self._given or self._fits(log, records[:1], times_ns[:1]):
@@ -239,8 +244,8 @@ class Recorder:
     def _fits(self, log: RecordFile, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> bool:
         """Return whether records belong into a file, by its size and by the times of telemetry.
 
-        Only telemetry tells the time: it is stamped by one clock, while the monitor's own records carry the
-        vehicle's, and a file begun for each of two that disagree would be a flood of files.
+        Only times of telemetry count: they come from one clock, while the monitor's own records have the vehicle's. If
+        the two disagreed, a new file would begin at every change between them.
         """
         series = self._series
         if series is None:
@@ -250,7 +255,10 @@ class Recorder:
         return log.size_with(records) <= series.file_bytes
 
     def _continue(self, first_ns: int) -> RecordFile:
-        """Resume the file in hand, or begin the next, named by its first telemetry's time; write the pending events."""
+        """Resume the present file, or begin the next one, named by the first time of its telemetry.
+
+        Write pending events.
+        """
         log = self._log
         if log is None and self._series is not None:
             self._first_ns = first_ns
@@ -276,7 +284,7 @@ class Recorder:
         return self._log
 
     def _fail(self, error: Exception) -> None:
-        """Keep the records that were flushed, count those that are lost, and try again later."""
+        """Keep the flushed records, count those that are lost, and try again later."""
         log, path = self._log, self._counts.path
         if log is not None:
             self._count_lost(log)
@@ -292,7 +300,7 @@ class Recorder:
             raise error
 
     def _end_file(self) -> None:
-        """Close the file in hand; the next record begins another."""
+        """Close the present file; the next record begins another one."""
         log, self._log, self._counts.path = self._log, None, None
         if log is None:
             return

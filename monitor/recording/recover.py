@@ -1,4 +1,4 @@
-"""Recordings that a crash left unfinished: ``fauio recover`` and the starting daemon finish them."""
+"""Unfinished recordings, after a crash: ``fauio recover`` and the starting daemon finish them."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _finish_all(folder: Path, say: Callable[..., None], begun_s: float) -> None:
 
 
 def _finished(paths: Iterable[Path]) -> Iterator[Recovery | FauioError]:
-    """Finish files; yield what finishing each did, or why it could not be."""
+    """Finish files; yield for each what was done, or why nothing could be done."""
     from adapters.logs.mcap_recovery import finish
 
     for path in paths:
@@ -79,7 +79,7 @@ def add_recover(subparsers: Any) -> None:
 
 
 def _check_is_recording(place: Path) -> None:
-    """Refuse a file that is no recording, or never held anything."""
+    """Refuse a file that is no recording, or is empty."""
     from mcap.writer import MCAP0_MAGIC
 
     if place.is_dir():
@@ -95,7 +95,7 @@ def _check_is_recording(place: Path) -> None:
 
 
 def run_recover(args: argparse.Namespace) -> int:
-    """Finish the files; status 2 if some could not be finished."""
+    """Finish the files; exit status 2 if some could not be finished."""
     if not args.place.exists():
         raise UsageError(f"{args.place}: no such file or folder")
     _check_is_recording(args.place)

@@ -1,4 +1,4 @@
-"""Keep a folder's files of one kind within a budget of bytes: the oldest are deleted, other files never."""
+"""Keeps a folder's files of one kind within a budget of bytes: deletes the oldest, and never other files."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def file_stem(name: str) -> str:
 
 
 class Retention:
-    """The files of a folder whose whole names match, in lexical order, so the oldest first."""
+    """The files of a folder whose names match a pattern, in lexical order, so the oldest first."""
 
     def __init__(self, folder: Path, name: re.Pattern[str], budget_bytes: int) -> None:
         self._folder = folder
