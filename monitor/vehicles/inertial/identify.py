@@ -1,7 +1,7 @@
-"""Strapdown kinematics as a plant: what GPS, barometer, compass and gyro say against each other, for any vehicle.
+"""Strapdown kinematics as a plant of any vehicle: GPS, barometer, compass and gyro compared with each other.
 
-The transform of the adapters gives mean rates u and washed-out integrals y by name. Over one period T, with
-phi = exp(-T/tau) and gain = tau (1 - phi), each block is a discrete plant of its own and none has a vehicle parameter:
+The transform gives mean rates u and washed-out integrals y by name. Over one period T, with phi = exp(-T/tau) and gain
+= tau (1 - phi), each block is a discrete plant of its own without a parameter of the vehicle:
 
     position   p+ = phi p + gain s v_gps                   y = p + f_position       v_gps the GPS's own velocity, s ~ 1
     velocity   v+ = phi v + gain a                         y = v + f_velocity       a = R f + g from the accelerometers
@@ -9,17 +9,17 @@ phi = exp(-T/tau) and gain = tau (1 - phi), each block is a discrete plant of it
     rotation   r+ = phi r + gain (omega - f_gyro)          y = r                    from the autopilot's attitude
     heading    h+ = phi h + gain (h' - f_gyro_z)           y = h + f_compass
 
-    accel      f_accel_x, f_accel_y as the navigation holds them responsible (:mod:`monitor.core.navigation`)
+    accel      f_accel_x, f_accel_y while the navigation holds them responsible (:mod:`monitor.core.navigation`)
 
-    position   p+ = phi p + gain (w + w+)/2, w+ = phi w + gain a        y = p + f_position   where no velocity comes
+    position   p+ = phi p + gain (w + w+)/2, w+ = phi w + gain a        y = p + f_position   without a GPS velocity
 
-So a GPS position that walks away from its own velocity is a fault of the position alone; a consistent spoof of position
-and velocity shows in the velocity alone, against the accelerometers. What drifts apart there may be any of a set, which
-is called "motion": the GPS's velocity, an accelerometer, a gyro or the autopilot's attitude, whose tilt turns gravity
-into the horizontal. Only a jump tells: tilts and accelerometers are integrated, so f_velocity alone makes edges, and
-hypotheses of its own watch for them. Everything else can be estimated together but for the vertical: two altitudes and
-one accelerometer name one culprit, hence one hypothesis for each of them.
-The scale s takes up that simulators are flat where the earth is an ellipsoid.
+A GPS position that leaves its own velocity is a fault of the position alone. A spoofed GPS whose position and velocity
+agree contradicts only the accelerometers, in the velocity. The cause of a growing difference there may be any of a set
+called "motion": the GPS's velocity, an accelerometer, a gyro, or the autopilot's attitude, whose tilt turns gravity
+into the horizontal. Only a jump names its cause: tilts and accelerometers are integrated, so only f_velocity makes
+edges, for which there are hypotheses. All other faults are estimated together except the vertical ones: from two
+altitudes and one accelerometer one fault can be named, so each has a hypothesis. The scale s covers that the earth of
+simulators is flat, not an ellipsoid.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Which topics of ROS 2 hold the raw signals of the strapdown transform, and how to take them to its axes.
+"""Finds the topics of ROS 2 with the raw signals of the strapdown transform, and converts their axes.
 
-By REP 103 ROS 2 has bodies ahead, left, up in a world east, north, up; the transform has them ahead, right, down in a
-world north, east, down. So y and z of vectors in body axes change their sign, roll stays, pitch changes its sign, and
-the heading counts from north clockwise where yaw counts from east anticlockwise.
+By REP 103, body axes of ROS 2 point forward, left, up and those of the world east, north, up; the transform's point
+forward, right, down and north, east, down. So y and z of vectors in body axes and the pitch change sign, roll does not,
+and the heading counts clockwise from north where yaw counts anticlockwise from east.
 """
 
 from __future__ import annotations

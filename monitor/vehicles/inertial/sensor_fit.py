@@ -1,8 +1,7 @@
-"""Measure on healthy recordings how well GPS, barometer, compass and gyro agree: scales and delays.
+"""Measures on healthy recordings how well GPS, barometer, compass and gyro agree: scales and delays.
 
-No vehicle parameter is identified: the kinematics are known (:mod:`monitor.vehicles.inertial.identify`). What flight
-has to show is how large the disagreement of healthy sensors is, fast (noise) and slow (disturbance), and by how much a
-sensor is late.
+No vehicle parameter is identified: the kinematics are known (:mod:`monitor.vehicles.inertial.identify`). Flights have
+to show the differences between healthy sensors, fast (noise) and slow (disturbance), and each sensor's delay.
 """
 
 from __future__ import annotations

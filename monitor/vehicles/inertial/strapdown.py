@@ -1,27 +1,26 @@
 """Raw inertial, attitude, GPS, barometer and compass signals -> the vehicle's motion by each of them.
 
-A transform: samples of raw signals at the IMU's rate in, samples (u, y) at a lower rate out. Strapdown kinematics
-need no parameter of the vehicle. With R the rotation body -> north, east, down of the attitude, f the specific
-force, w the gyro's rate and T the period of the samples that come out, sample k holds
+A transform: samples of raw signals at the IMU's rate in, samples (u, y) at a lower rate out. Strapdown kinematics need
+no parameter of the vehicle. With R the rotation from body to north, east, down by the attitude, f the specific force, w
+the gyros' rates and T the period of the samples that come out, sample k consists of
 
     u(k)   means over [t_k, t_k + T]: GPS velocity north, east; acceleration R f + g north, east, down;
            w in body axes; rate of the heading from w
     y(k)   at t_k, each washed out: position north, east and down of the GPS, its velocity north, east;
            down of the barometer; rotation of the attitude about the body's axes; heading of the magnetometer
 
-so that integrals of u are compared with y. A mean loses nothing of a velocity, where picking one sample of four
-would alias vibration into it.
+so that integrals of u can be compared with y. A mean keeps the whole velocity; one sample of four would alias vibration
+into it.
 
-Positions, velocities and angles are integrals, whose errors grow without end. Washed out with time constant tau,
+Positions, velocities and angles are integrals, whose errors grow without bound. Washed out with time constant tau,
 
     y+ = phi y + tau (1 - phi) d/T,   phi = exp(-T/tau),   d the change over the period,
 
-the same quantity obeys x+ = phi x + tau (1 - phi) u: what is constant or older than tau is forgotten on both sides.
+the same quantity obeys x+ = phi x + tau (1 - phi) u: both sides forget constants, and everything older than tau.
 
-GPS and barometer report late. All that is compared with them is delayed to the older of the two.
-Yaw and GPS course wrap: their channels need a ``period``, or the sampler's straight line between both sides of a wrap
-is no angle. GPS_RAW_INT repeats a fix under the same time stamp, which the sampler takes once, and has time 0 before
-the first one.
+GPS and barometer report late: everything compared with them is delayed to the older of the two. Yaw and GPS course
+wrap: their channels need a ``period``, or the sampler's line across the wrap is no angle. GPS_RAW_INT repeats a fix
+with the same time stamp, which the sampler counts once, and has time 0 before the first fix.
 """
 
 from __future__ import annotations

@@ -1,20 +1,20 @@
-"""The battery observer: how far the voltage gives way to the current, against what was learned.
+"""The battery observer: the battery's resistance against that of healthy flights.
 
-With V and I the battery's voltage and current, less what they were of late (a low-pass of :data:`_BASE_S`), and
-moments over a memory of some seconds,
+With V and I the battery's voltage and current minus their recent means (a low-pass of :data:`_BASE_S`), and moments
+over a memory of some seconds,
 
     resistance = (lambda R - w cov(V, I)) / (lambda + w var(I))
 
-where R is that of healthy flights, lambda what the voltage's noise is worth, and w, from 0 to 1, the part of the memory
-that is filled: while the current hardly changes the resistance is the usual one. What the open voltage does, over
-charge and age, is no evidence. A faulty cell, a corroded connector and an old battery show in a larger resistance
-before they fail under load.
+where R is the resistance in healthy flights, lambda the variance of the current from which the data outweigh R, and w,
+from 0 to 1, the part of the memory that is filled: while the current hardly changes the result is the usual resistance.
+The open-circuit voltage, which depends on charge and age, is no evidence. A faulty cell, a corroded connector and an
+old battery have a larger resistance before they fail under load.
 
-The memory is the shortest of :data:`_MEMORIES_S` over which healthy flights know the resistance well enough: how well
-is a matter of how much their current changes beside the voltage's noise. In a calm hover hardly anything is told.
+The memory is the shortest of :data:`_MEMORIES_S` in which healthy flights determine the resistance well enough, which
+depends on how much their current changes compared with the voltage's noise. A calm hover tells very little.
 
-The plant behind compares the resistance with the usual one. Beside them go the current and how long the charge lasts at
-it, for the alarm's sentence.
+The plant compares the resistance with the usual one. The current, and the time for which the charge lasts at it, are
+inputs for the alarm's sentence.
 """
 
 from __future__ import annotations

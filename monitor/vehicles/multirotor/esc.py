@@ -1,11 +1,11 @@
-"""The esc observer of a multirotor: whether motors turn as commanded, and draw what their speeds let expect.
+"""The esc observer of a multirotor: whether motors turn as commanded and draw the current of their speed.
 
 Curves, delay and lag (:mod:`monitor.vehicles.multirotor.transform`) are identified from healthy flights by least
-squares. What a flight does not show is filled in from what motors have in common, with the width that they differ by:
+squares. Where a flight does not determine them, prior knowledge about motors does, with a width by which motors differ:
 
-- Of speed over command the bend lies between none and that of a square root, and speed follows the voltage as it
-  follows the command, whose product a speed controller without a governor applies.
-- A propeller takes a power that goes with the cube of its speed: current goes with it over the voltage.
+- The curve of speed over command lies between a straight line and a square root. Speed depends on the voltage as on the
+  command, since a speed controller without a governor applies the product of both.
+- The power of a propeller is proportional to the cube of its speed; the current is that power over the voltage.
 """
 
 from __future__ import annotations

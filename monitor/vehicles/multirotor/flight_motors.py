@@ -1,9 +1,8 @@
-"""What each flight by itself says of a multirotor's trim and thrust, to tell which of them disagrees.
+"""Compares the trim and thrust of each flight of a multirotor with the others, to find one with a weak motor.
 
-Which motor is weak shows in the mean of what the model leaves over, not in the answer to single commands: that is a
-regression on commands, and where they come slowly or the flight was calm it shrinks the effect of every motor. On
-recordings at 10 Hz two healthy minutes of hover had 37 % of the effects of brisk flights; their trim agrees within
-.1 %.
+A weak motor shows in the mean of the model's residual, not in the response to single commands: that is a regression on
+commands, and where these come slowly or the flight was calm it underestimates the effect of every motor. On recordings
+at 10 Hz two healthy minutes of hover had 37 % of the effects of agile flights, while their trim agrees within 0.1 %.
 """
 
 from __future__ import annotations
@@ -46,8 +45,8 @@ def motor_agreement(
         y_o(k+1) - a_o y_o(k) - B_o w(k) - c_o = theta_o sum_i |B_oi h_i| / 2 + error
         sum_i w_i(k) / sum_i h_i - 1           = theta_thrust + theta_change t + error.
 
-    A motor that gives a share less moves theta_o by what it gave: by that it is named. A payload, a battery that sags
-    or propellers that are all worn move the thrust.
+    A weak motor changes each theta_o by the share of the moment that it lacks, which names it. A payload, a sagging
+    battery or propellers that are all worn change the thrust.
     """
     n = len(fit.a)
     effects = [fit.effect(segment.u) for flight in flights for segment in flight]

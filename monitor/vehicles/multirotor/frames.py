@@ -1,9 +1,9 @@
-"""How much each motor of a multirotor turns the vehicle about its axes: from its parameters, or a standard frame.
+"""The moments of each motor of a multirotor about its axes: from its parameters, or from a standard frame.
 
-A motor at (x, y) before and right of the centre of gravity, pushing up, turns the vehicle by -y about the roll axis, by
-x about the pitch axis and, by its drag, about the yaw axis against its own sense of rotation. The effects of a frame
-are these numbers relative to each other, of each axis for itself: how much thrust a command gives, and how much a
-torque turns the vehicle, the flights say.
+A motor at (x, y) forward and right of the centre of gravity that pushes up turns the vehicle by -y about the roll axis,
+by x about the pitch axis and, by its drag, about the yaw axis against its own rotation. The effects of a frame are
+these numbers, relative to the largest of each axis. The thrust of a command, and the response of the vehicle to a
+torque, follow from the flights.
 """
 
 from __future__ import annotations

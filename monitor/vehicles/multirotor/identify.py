@@ -4,22 +4,22 @@ The model, in the symbols of the theory (k counts samples, d delays, i motors, o
 
     v_i(k)   = sum_d h_d ((1 - q) u_i(k-d) + q u_i(k-d)^2)             delay, motor lag and filters; thrust curve
     x_o(k+1) = a_o x_o(k) + sum_i B_oi v_i(k) + c_o                    roll, pitch and yaw rate
-    y_o(k)   = x_o(k) + e_o(k),   e_o(k) = sum_j d_oj e_o(k-j) + eps   what gusts and noise do, of any colour
+    y_o(k)   = x_o(k) + e_o(k),   e_o(k) = sum_j d_oj e_o(k-j) + eps   coloured noise: gusts, measurement
     y_z(k+1) = b_z sum_i v_i(k)                                        vertical specific force
 
-The taps h follow from three times (:func:`gains.identification.lag.lag_taps`). The coefficients are those of the least
-squares of eps (Gauss-Newton; the noise is estimated anew at each step): the prediction-error method with Box's and
-Jenkins' model, which holds in a closed loop and with measurement noise (Ljung, System Identification, 1999, 4.2, 7.2,
-13.4). The simulation x needs nothing but the commands, so that a lost measurement costs its own row. It begins with a
-regression on many past rates and commands: what closes the loop is not mistaken for the vehicle.
+The taps h follow from three times (:func:`gains.identification.lag.lag_taps`). The coefficients minimise the squares of
+eps (Gauss-Newton; the noise model is estimated anew at each step): the prediction-error method for a Box-Jenkins model,
+which is valid in closed loop and with measurement noise (Ljung, System Identification, 1999, 4.2, 7.2, 13.4). The
+simulation of x uses commands only, so a lost measurement costs only its own row. The descent begins with a regression
+on many past rates and commands, so that the feedback of the controller is not taken for the vehicle.
 
-No frame type is asked: B is learned. Where the frame's geometry is known, or the autopilot moves the motors in fewer
-directions than there are motors, B is held to that with a stated width. Vertical force is NOT regressed on commands:
-the altitude controller answers gusts through the accelerometer, so that regression finds the controller's inverse, not
-the vehicle. Thrust is zero at zero command, hence b_z follows from the two means alone.
+No frame type is asked for: B is learned. Where the frame's geometry is known, or the autopilot moves the motors in
+fewer directions than there are motors, it is a prior of B with a stated width. Vertical force is NOT regressed on
+commands: the altitude controller answers gusts through the accelerometer, so the regression would find the inverse of
+the controller. Thrust is zero at zero command, so b_z follows from the two means alone.
 
-Standard errors are those of blocks of time, which hold whatever the errors' colour and however they vary (White 1980,
-Arellano 1987): H^-1 (sum_b g_b g_b') H^-1, with the gradients g_b of all coefficients together.
+Standard errors come from the gradients g_b of blocks of time, H^-1 (sum_b g_b g_b') H^-1, for all coefficients
+together. They hold for errors of any colour and changing variance (White 1980, Arellano 1987).
 """
 
 from __future__ import annotations

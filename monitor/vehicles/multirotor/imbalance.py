@@ -1,24 +1,24 @@
 """The imbalance observer of a multirotor: how much each propeller shakes the vehicle once per turn (order tracking).
 
-A propeller out of balance pulls at its arm with a force that turns with it. With the speed of each motor measured, its
-angle phi_j is the integral of that, and over a tick of :data:`_TICK_S` each axis of the raw accelerometer is
+An unbalanced propeller pulls at its arm with a force that rotates with it. The angle phi_j of each motor is the
+integral of its measured speed, and over a tick of :data:`_TICK_S` each axis of the raw accelerometer is
 
-    a = b + sum over motors j of (p_j cos phi_j + q_j sin phi_j) + all else,
+    a = b + sum over motors j of (p_j cos phi_j + q_j sin phi_j) + everything else,
 
-solved by least squares for all motors together: of two that turn at different speeds each keeps its own. The square of
-a motor's line is the sum of its p^2 + q^2 over the axes, averaged over :data:`_MEMORY_S` with the weight by which the
-speeds of a tick part that motor from the others. Of motors that turn alike for so long each is given an equal share, so
-that an imbalance raises the alarms of all of them: it is one of that set.
+solved by least squares for all motors together, which separates motors that turn at different speeds. The squared
+amplitude of a motor's line is the sum of its p^2 + q^2 over the axes, averaged over :data:`_MEMORY_S` with a weight:
+how well the speeds of a tick separate that motor from the others. Motors that turn at equal speeds for so long get
+equal shares, so an imbalance raises the alarms of all of them: it is one of that set.
 
-The logarithm of the line's amplitude is compared with ``c0 + c1 ln(w)``, w the speed as a share of that of hovering,
-identified for each motor from healthy flights: an imbalance pulls with the square of the speed, and how an arm and a
-mount answer to it differs. Throttle is no further cause, as the speed is known.
+The logarithm of the line's amplitude is compared with ``c0 + c1 ln(w)``, w being the speed as a share of that in hover,
+identified for each motor from healthy flights: an imbalance pulls with the square of the speed, and arms and mounts
+differ in their response. Throttle adds nothing to the known speed.
 
-The angle has to be known between two measurements of a speed: where it is not, for speeds come too seldom, the level of
-vibration is all that is told.
+The angle has to be known between two measurements of a speed. Where speeds come too seldom for that, only the level of
+vibration is used.
 
-What turns faster than half the rate of the accelerometer is folded onto other frequencies, on which other lines lie,
-and autopilots average over the time between samples: from :data:`_HIGHEST` of the rate on nothing is told.
+Rotations faster than half the accelerometer's rate are aliased onto frequencies with other lines, and autopilots
+average over the time between samples: above the share :data:`_HIGHEST` of the rate lines are not used.
 """
 
 from __future__ import annotations

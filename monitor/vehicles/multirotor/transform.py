@@ -1,18 +1,18 @@
-"""What a motor turns and draws beside what its command, and its speed, let expect.
+"""Motors' speeds and currents minus those expected from their commands and speeds.
 
-With u a motor's command, w its speed, i its current, and v the relative deviation of the battery's voltage, the mean
-over all controllers, from what it was in the flights that were fitted:
+With u a motor's command, w its speed, i its current, and v the relative deviation of the battery's voltage (mean over
+all controllers) from that of the fitted flights:
 
     expected speed    c0 + c1 x + c2 x^2 + c3 u v,  x = u (1 + v)      after delay and lag
     expected current  d0 + (d1 w + d2 w^2 + d3 w^3) / (1 + v)
 
-in shares of those of hovering. A speed controller without a governor applies a share x of the battery's voltage, one
-with a governor undoes that (c3 = -c1); a propeller takes a power that its speed alone decides, nearly its cube.
+in shares of those in hover. A speed controller without a governor applies a share x of the battery's voltage, one with
+a governor compensates the voltage (c3 = -c1). The power of a propeller depends on its speed alone, nearly on the cube.
 
-Measurements come some times a second and say nothing of what was in between, so each stands beside what was expected
-when it was made, and both are taken as means over a tick. The plant behind compares a tick's expectation with the
-measurement of the same tick, which therefore comes one tick later here. A current below the expected one counts as
-that: a motor that fails draws more, less says that its propeller is damaged, which shows in the thrust.
+Measurements come a few times a second, so each is paired with the value expected at its own time, and both are averaged
+over a tick. The plant compares the expectation of a tick with the measurement of the same tick, which the transform
+therefore gives one tick later. A current below the expected one counts as equal to it: a failing motor draws more; less
+current means a damaged propeller, which shows in the thrust.
 """
 
 from __future__ import annotations

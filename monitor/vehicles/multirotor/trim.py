@@ -1,21 +1,21 @@
 """Identify a multirotor whose motor commands come slowly: mean command against mean motion, over a tick of the grid.
 
-Outputs logged at 10 Hz, or sent over a radio once a second, do not show what a controller does in between. Their mean
-over a tick T does: it is the torque that the vehicle needed. Per axis o, with the frame's effects g_o of the s motors
-(:mod:`monitor.vehicles.multirotor.frames`) and the lag of motors and link as the share h of a tick:
+Outputs logged at 10 Hz, or sent over a radio once a second, do not show the controller's actions in between. Their mean
+over a tick T does: it is the torque that the vehicle needed. For each axis o, with the frame's effects g_o of the s
+motors (:mod:`monitor.vehicles.multirotor.frames`) and the lag of motors and link as the share h of a tick:
 
     v(k)     = (1 - h) u(k) + h u(k-1)                     u(k): mean command from tick k to tick k+1
     e_o(k)   = g_o v(k) / s                                commanded torque, in units of command
     e_o(k)   = p_0 + p_1 (y_o(k+1) - y_o(k)) / T + p_2 (y_o(k+1) + y_o(k)) / 2 + error
 
 The torque is regressed on the motion, not the motion on the torque: the error (aliasing of u, gusts) is in e_o, and
-least squares in the other direction shrinks the effect, by 1.1 to 5 times on recordings at 10 Hz. Solved for the rate,
-y' = (e_o - p_0 - p_2 y) / p_1, it gives the discrete model of the observer
+least squares in the other direction underestimates the effect, by a factor of 1.1 to 5 on recordings at 10 Hz. Solved
+for the rate, y' = (e_o - p_0 - p_2 y) / p_1, it gives the discrete model of the observer
 
     y_o(k+1) = a_o y_o(k) + B_o v(k) + c_o,     a_o = exp(-T p_2 / p_1),     B_o = (1 - a_o) / p_2  g_o / s.
 
-The size of a lost share does not depend on p_1: without a change of motion e_o alone tells it. So the frame and two
-minutes of hovering are enough; p_1 says how much torque a manoeuvre asks for.
+The size of a lost share does not depend on p_1, as e_o alone shows it while the motion does not change. So the frame
+and two minutes of hovering are enough; p_1 is the torque that manoeuvres need.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The vibration observer of a multirotor: whether it shakes more than throttle and motion let expect.
+"""The vibration observer of a multirotor: whether it shakes more than expected from throttle and motion.
 
-The logarithm of the level, which autopilots report some times a second, is compared with
+The logarithm of the level, which autopilots report a few times a second, is compared with
 
-    c0 + c1 m + c2 d + c3 r      m: mean command, d: how far commands are apart, r: size of the body rates
+    c0 + c1 m + c2 d + c3 r      m: mean command, d: difference between commands, r: size of the body rates
 
-as they were of late, identified from healthy flights by least squares: a level that is twice the expected one is as
-remarkable in hover as in a climb. Beside it stands how many samples a second an accelerometer was at its end, by the
-counters of the autopilot: what is cut off there is missing in every speed and position.
+of the recent past, identified from healthy flights by least squares: twice the expected level is as remarkable in hover
+as in a climb. A second channel is how many samples a second an accelerometer clipped, by the autopilot's counters: what
+is clipped is missing in every speed and position.
 """
 
 from __future__ import annotations

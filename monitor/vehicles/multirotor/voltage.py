@@ -1,9 +1,9 @@
-"""How much of a motor's command a sagging battery takes, told by flights in which the same thrust needs more command.
+"""How much a sagging battery reduces the effect of a command: flights show it by more command for the same thrust.
 
-A controller without a governor applies u V, a vehicle flies with the same mean thrust: ln u falls by ``share`` per cent
-where the voltage v rises by one. Climbs and brakes move both at once, for the current pulls the voltage down; so the
-slope is that over the time in the air, in which a battery only empties (instrumental variables; Wooldridge, Econometric
-Analysis, 5.1):
+A controller without a governor applies u V, and the mean thrust of a flying vehicle is constant: ln u falls by
+``share`` per cent where the voltage V rises by one. Climbs and braking change both at once, as the current pulls the
+voltage down. So the slope is taken over the time in the air, in which a battery only empties (instrumental variables;
+Wooldridge, Econometric Analysis, 5.1):
 
     share = -cov(t, ln u) / cov(t, ln V),     within flights.
 """

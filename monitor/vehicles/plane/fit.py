@@ -1,15 +1,15 @@
 """The surfaces observer of a plane: deflections, scaled by dynamic pressure, to body rates and thrust.
 
-The inputs come scaled and with the measured forces beside them (:class:`SurfaceInputs`), so for every axis
+Inputs are scaled, and measured forces are among them (:class:`SurfaceInputs`), so that for every axis
 
     roll_rate+  = a roll_rate  + b aileron  + damping, coupling with yaw, side force, trim
     pitch_rate+ = a pitch_rate + b elevator + damping, normal force, gravity, trim
     yaw_rate+   = a yaw_rate   + b rudder   + damping, coupling with roll, side force, gravity, trim
     forward_acceleration+ = b throttle + drag with dynamic pressure, and with lift
 
-has constant coefficients at every speed. Gusts act through sideslip and angle of attack, which the accelerometers
-feel: taking the measured forces as inputs leaves the gusts out of the residual. Each actuator answers for one axis; a
-rudder that is only mixed with the aileron cannot be learned beside it in roll.
+has constant coefficients at every speed. Gusts act through sideslip and angle of attack, which accelerometers measure:
+with the measured forces as inputs, gusts are not in the residual. Each actuator belongs to one axis; a rudder that only
+follows the aileron by a mixer cannot be learned beside it in roll.
 """
 
 from __future__ import annotations

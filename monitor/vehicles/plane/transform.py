@@ -1,10 +1,11 @@
-"""Deflections of a plane's surfaces as the effects they have at the present airspeed.
+"""Scales the deflections of a plane's surfaces to their effects at the present airspeed.
 
-A control surface acts with the dynamic pressure and a damping moment with the speed. With s = airspeed / reference,
+The moment of a control surface is proportional to dynamic pressure, a damping moment to speed. With s = airspeed /
+reference,
 
     effect = deflection s^2,   damping of a body rate ~ rate s
 
-so that the plant behind it has constant coefficients.
+so that the plant has constant coefficients.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     yaw_rate+             = a yaw_rate + b (steering + kappa steering^3) s + c        s = forward speed / reference
     forward_acceleration+ = b throttle + b_v s + c
 
-Specific force, not speed, answers the throttle: a slope slows a rover down without being felt by its accelerometer.
-kappa is the curvature of turning rate over steering (linkage, tyres); it belongs to the transform.
+Throttle determines the specific force, not the speed: a slope slows a rover down, but its accelerometer does not
+measure that. kappa, the curvature of turning rate over steering (linkage, tyres), belongs to the transform.
 """
 
 from __future__ import annotations

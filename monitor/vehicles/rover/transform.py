@@ -1,10 +1,10 @@
-"""Steering of a rover as the effect it has at the present speed.
+"""Scales the steering of a rover to its effect at the present speed.
 
-A steered wheel turns the vehicle in proportion to how fast it rolls. With s = forward speed / reference, signed,
+A steered wheel turns the vehicle in proportion to its rolling speed. With s = forward speed / reference, signed,
 
     effect = (steering + kappa steering^3) s
 
-so that the plant behind it has constant coefficients.
+so that the plant has constant coefficients.
 """
 
 from __future__ import annotations
