@@ -507,6 +507,7 @@ class ObserverChain:
             alarm_scale,
             **({} if changes is None else self._named(changes)),
             sd=size_sd[:, self._faults],
+            command=self._command_of_alarms(commands, len(samples)),
         )
         return ChainRun(
             estimates,
@@ -522,6 +523,12 @@ class ObserverChain:
             None if changes is None else changes.sd,
             given.unflown,
         )
+
+    def _command_of_alarms(self, commands: Mapping[int, NDArray[np.float64]], count: int) -> NDArray[np.float64] | None:
+        if not (commands and self._faults):
+            return None
+        unknown = np.full(count, np.nan)
+        return np.stack([commands.get(fault, unknown) for fault in self._faults], axis=1)
 
     def _named(self, run: ChangeRun) -> dict[str, Any]:
         """Return the alarm whose sudden change each row names, with its nats, size, growth, onset and sd."""

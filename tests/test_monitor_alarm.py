@@ -43,8 +43,10 @@ def process(
     speaking: NDArray[np.bool_] | None = None,
     unix_minus_vehicle_ns: int = 10**18,
     relative: float | None = None,
+    sd: NDArray[np.float64] | None = None,
+    commands: NDArray[np.float64] | None = None,
 ) -> list[AlarmEvent]:
-    """Return the events of one batch of evidence; the command is 0.5 unless the share is given."""
+    """Return the events of one batch of evidence; the command is 0.5 unless the share or ``commands`` are given."""
     count = len(evidence)
     restart = np.zeros(count, np.bool_) if restart is None else restart
     speaking = np.ones(count, np.bool_) if speaking is None else speaking
@@ -53,10 +55,24 @@ def process(
     samples = Samples(
         np.arange(count), times_ns, unix_ns, nothing, nothing, restart, always, times_ns, always, nothing > 0
     )
-    rows = ChainRows([alarm.state], np.arange(count), times_ns, restart, evidence[:, None], speaking[:, None])
+    column = [None if one is None else one[:, None] for one in (sd, commands)]
+    rows = ChainRows(
+        [alarm.state],
+        np.arange(count),
+        times_ns,
+        restart,
+        evidence[:, None],
+        speaking[:, None],
+        sd=column[0],
+        command=column[1],
+    )
     events: list[AlarmEvent] = []
-    command = 0.5 if relative is None else None
-    walk([rows], lambda _observer, row, _alarm, code: events.append(alarm.event(code, samples, row, command, relative)))
+
+    def on_event(_observer: int, row: int, _alarm: int, code: int) -> None:
+        command = 0.5 if commands is None else float(commands[row])
+        events.append(alarm.event(code, samples, row, command if relative is None else None, relative))
+
+    walk([rows], on_event)
     return events
 
 
@@ -108,6 +124,28 @@ def test_severity_rises_at_once_and_does_not_fall_back() -> None:
     ]
     assert all(event.severity == "critical" for event in events[1:])
     assert events[-1].peak == -0.2
+
+
+def test_a_constant_share_of_a_command_that_changes_is_no_update() -> None:
+    times = np.arange(600) * STEP_NS
+    commands = np.where(times < 3_000_000_000, 0.6, 0.3)
+    events = process(new_alarm(), -0.1 * commands, times, commands=commands)
+    assert [event.state for event in events] == ["raised"]
+    share = np.where(times < 3_000_000_000, -0.1, -0.2)
+    events = process(new_alarm(), share * commands, times, commands=commands)
+    assert [event.message for event in events] == [
+        "motor1 delivers 10 % less than commanded",
+        "motor1 delivers 20 % less than commanded",
+    ]
+
+
+def test_a_size_that_moves_less_than_twice_its_standard_deviation_is_no_update() -> None:
+    times = np.arange(600) * STEP_NS
+    manoeuvre = times >= 3_000_000_000
+    evidence, sd = np.where(manoeuvre, -0.07, -0.05), np.where(manoeuvre, 0.015, 0.001)
+    assert [event.state for event in process(new_alarm(), evidence, times, sd=sd)] == ["raised"]
+    sd[:] = 0.001
+    assert [event.state for event in process(new_alarm(), evidence, times, sd=sd)] == ["raised", "updated"]
 
 
 def test_updates_come_at_most_once_a_second() -> None:

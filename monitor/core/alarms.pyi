@@ -63,6 +63,7 @@ class ChainRows:
         onset_ns: NDArray[np.int64] | None = None,
         change_sd: NDArray[np.float64] | None = None,
         sd: NDArray[np.float64] | None = None,
+        command: NDArray[np.float64] | None = None,
     ) -> None: ...
 
 def nats_asked(

@@ -6,7 +6,7 @@ The rule itself is described in :mod:`monitor.alarms.alarm`, whose names it bear
 
 import numpy as np
 
-from libc.math cimport INFINITY, NAN, exp, fabs, isnan, sqrt
+from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, isnan, sqrt
 from libc.stdint cimport int64_t, uint8_t
 
 cdef double NANOSECONDS = 1e9
@@ -17,6 +17,10 @@ cdef int64_t UPDATE_EVERY_NS = 1_000_000_000
 # An update reports a size that changed by this share, or by half the threshold. The estimate of a constant loss of
 # thrust varies by 3 to 6 % of itself (one standard deviation, losses of 5, 10 and 20 % in gusts), so 15 % is not noise.
 cdef double UPDATE_SHARE = 0.15
+
+# The move has to be this many standard deviations of the new size, too. In a manoeuvre the size of a constant fault is
+# known ten times worse than before it. Two: 95 % of normal noise moves less.
+cdef double UPDATE_SDS = 2.0
 
 # An update also reports a size whose standard deviation is smaller by this factor than that of the size last reported:
 # the first size of a sudden change comes from two samples. Chosen: a halved uncertainty is a difference for a reader.
@@ -114,7 +118,7 @@ cdef class AlarmState:
     cdef double nats, least, lasting, lasting_ns
     cdef readonly bint active, critical, creeping, recurring, sudden
     cdef readonly double shown, peak, size, reported
-    cdef double reported_sd
+    cdef double reported_sd, reported_command
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
     cdef bint contiguous, fails_towards_less, explained
     cdef int64_t explained_ns, explained_last_ns
@@ -135,7 +139,7 @@ cdef class AlarmState:
         self.counter_ns = self.fast_counter_ns = 0
         self.raised_count = 0
         self.last_ns = self.ended_ns = LONG_AGO
-        self.reported_sd = NAN
+        self.reported_sd = self.reported_command = NAN
         self.forget()
         self.excused_spans = None
 
@@ -194,8 +198,15 @@ cdef class AlarmState:
         return False
 
     cdef int step(self, int64_t now, bint restart, double evidence, bint speaking, double scale, double sd,
-                  const Change* change) noexcept:
+                  double command, const Change* change) noexcept:
         """Process one row; return the event it causes."""
+        cdef int event = self.event_of(now, restart, evidence, speaking, scale, sd, command, change)
+        if event == C_RAISED or event == C_UPDATED:
+            self.reported_command = command
+        return event
+
+    cdef int event_of(self, int64_t now, bint restart, double evidence, bint speaking, double scale, double sd,
+                      double command, const Change* change) noexcept:
         cdef int64_t elapsed
         cdef int event
         if not self.active and self.is_certain(change, evidence) and not self.excused(now):
@@ -218,7 +229,7 @@ cdef class AlarmState:
         self.last_ns, self.contiguous = now, True
         self.average(restart, evidence / scale, scale, elapsed)
         if self.active:
-            return self.follow(now, evidence, scale, sd, elapsed)
+            return self.follow(now, evidence, scale, sd, command, elapsed)
         event = self.debounce(now, evidence, scale, elapsed)
         if event == C_RAISED:
             self.reported_sd = sd
@@ -304,9 +315,10 @@ cdef class AlarmState:
         self.size, self.shown, self.peak, self.reported, self.reported_ns = size, evidence, evidence, evidence, now
         return C_RAISED
 
-    cdef int follow(self, int64_t now, double evidence, double scale, double sd, int64_t elapsed) noexcept:
+    cdef int follow(self, int64_t now, double evidence, double scale, double sd, double command,
+                    int64_t elapsed) noexcept:
         """Update or clear an active alarm."""
-        cdef double shown, ahead, moves
+        cdef double shown, ahead, moves, expected
         cdef bint worsens, due, moved, sharper, kept
         # The size of evidence that only a mean shows is the mean.
         self.creeping = self.creeping and fabs(evidence) < (scale if self.lasts else 1.0) * self.threshold
@@ -335,8 +347,12 @@ cdef class AlarmState:
             return C_NONE
         self.unseen_ns = 0
         self.counter_ns = 0 if self.recurring else max(0, self.counter_ns - elapsed)
-        moves = max(UPDATE_SHARE * fabs(self.reported), self.size / 2)
-        moved = fabs(shown - self.reported) > moves
+        # A constant share of a command that changed is no news.
+        expected = self.reported
+        if self.reported_command != 0.0 and isfinite(command / self.reported_command):
+            expected *= command / self.reported_command
+        moves = max(UPDATE_SHARE * fabs(expected), self.size / 2)
+        moved = fabs(shown - expected) > (moves if isnan(sd) else max(moves, UPDATE_SDS * sd))
         # Any standard deviation is better than an unknown one.
         sharper = UPDATE_SHARPER * sd <= self.reported_sd or (isnan(self.reported_sd) and not isnan(sd))
         due = not 0 <= now - self.reported_ns < UPDATE_EVERY_NS
@@ -384,6 +400,8 @@ cdef class ChainRows:
         ``growth`` a second, float64, and ``onset_ns``, int64 (n,), and the ``change_sd`` of its size.
     sd : float64 (n, m), optional
         Standard deviation of the evidence of the first m alarms, not a number where it is not known.
+    command : float64 (n, m), optional
+        The command of which the size of each of the first m alarms is a share, not a number where it is none.
     """
 
     cdef tuple alarms
@@ -392,16 +410,16 @@ cdef class ChainRows:
     cdef const double[:, :] evidence
     cdef const uint8_t[:, :] speaking
     cdef const Py_ssize_t[:] changed
-    cdef const double[:, :] scale, sd
+    cdef const double[:, :] scale, sd, command
     cdef const double[:] nats, size, growth, change_sd
     cdef const int64_t[:] onset_ns
 
     def __init__(self, alarms, position, times_ns, restart, evidence, speaking, scale=None, changed=None, nats=None,
-                 size=None, growth=None, onset_ns=None, change_sd=None, sd=None):
+                 size=None, growth=None, onset_ns=None, change_sd=None, sd=None, command=None):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
         self.restart, self.evidence, self.speaking = restart, evidence, speaking
-        self.scale, self.sd = scale, sd
+        self.scale, self.sd, self.command = scale, sd, command
         self.changed, self.nats, self.size, self.growth, self.onset_ns = changed, nats, size, growth, onset_ns
         self.change_sd = change_sd
 
@@ -598,7 +616,8 @@ def walk(chains, on_event):
             event = alarm.step(
                 chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i],
                 chain.scale[row, i] if chain.scale is not None and i < chain.scale.shape[1] else 1.0,
-                chain.sd[row, i] if chain.sd is not None and i < chain.sd.shape[1] else NAN, &change)
+                chain.sd[row, i] if chain.sd is not None and i < chain.sd.shape[1] else NAN,
+                chain.command[row, i] if chain.command is not None and i < chain.command.shape[1] else NAN, &change)
             if event == C_RAISED:
                 chain.supersede(i)
             if event:
