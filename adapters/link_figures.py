@@ -2,7 +2,7 @@
 
 Arrival minus stamp is the offset of two clocks plus a delay. For each kind of message, the smallest value of the one to
 two minutes before a message counts as no delay: the delay is how much later a message comes than the quickest of its
-kind. Jitter is the mean change of the delay from one message to the next, the difference D of RFC 3550, section 6.4.1,
+kind. Jitter is the mean change of the delay between two messages, the difference D of RFC 3550, section 6.4.1,
 without its smoothing. If packets are numbered, gaps in the numbers are losses; otherwise a step of the stamps of at
 least twice the usual step is a loss.
 """

@@ -183,17 +183,17 @@ class EvidenceFlow:
         """Return why the observer has no evidence, in people's words and as the status's word."""
         missing = [name for name, came_ns in self.messages.items() if now_ns - came_ns >= self.missing_ns]
         if vehicle_contested:
-            return "telemetry that contradicts itself", "contradicted"
+            return "contradictory telemetry", "contradicted"
         if missing:
             labels = dict.fromkeys(self._label_of(name) for name in missing)
             return f"no {' and no '.join(labels)}", f"no_message {missing[0]}"
         if now_ns - self._rows_ns >= self.missing_ns:
-            return "measurements that do not come together", "gap"
+            return "measurements with no times in common", "gap"
         if seldom := self.chain.sampler.seldom:
             return f"{' and '.join(seldom)} slower than in the fitted flights", "gap"
         lift = self.chain.source.lift
         if lift is not None and not self.chain.gate.carried:
-            return f"flight not on its {lift.by} alone", "not_carried"
+            return f"flight not carried by its {lift.by} alone", "not_carried"
         if still := self.chain.sampler.still:
             return f"{' and '.join(still)} frozen", "gap"
         if self._lost:

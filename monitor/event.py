@@ -35,23 +35,23 @@ class AlarmEvent:
     state: State
     severity: Severity
     estimate: Annotated[float | None, "size of the fault now, in unit"]
-    relative: Annotated[float | None, "estimate over command, where that makes sense"]
+    relative: Annotated[float | None, "estimate divided by the command, for faults that are a share of it"]
     unit: str
-    threshold: Annotated[float, "what the estimate has to exceed"]
+    threshold: Annotated[float, "size of estimate from which the alarm is raised"]
     time_ns: Annotated[int, "Unix time of the sample that caused the event"]
     vehicle_time_ms: Annotated[int, "the same on the vehicle's own clock"]
     since_ns: Annotated[int, "Unix time of the sample that raised the alarm"]
     peak: Annotated[float | None, "largest estimate since it was raised"]
     message: Annotated[str, "one sentence for a person"]
     seq: Annotated[int, "number of the event among the vehicle's: later ones have larger numbers"]
-    acknowledged: Annotated[bool, "somebody has said that they know"] = False
+    acknowledged: Annotated[bool, "an operator has acknowledged it"] = False
     latched: Annotated[bool, "it stays active although its cause is gone, until it is reset"] = False
     shelved_until_ns: Annotated[int | None, "Unix time at which shelving ends"] = None
-    creeping: Annotated[bool, "only the mean over seconds shows it; estimate is that mean"] = False
+    creeping: Annotated[bool, "only the mean over some seconds shows it; estimate is that mean"] = False
     recurring: Annotated[bool, "it comes and goes, and clears only after a long quiet"] = False
-    display: Annotated[str, "the size as people say it, of estimate, relative and unit; empty where there is none"] = ""
-    false_per_100h: Annotated[float | None, "false alarms expected of the channel in 100 hours, by its fit"] = None
-    part: Annotated[str | None, "channel that says where between command and thrust the cause is: escN, propN"] = None
+    display: Annotated[str, "the size for people, from estimate, relative and unit; empty without a size"] = ""
+    false_per_100h: Annotated[float | None, "expected false alarms of the channel in 100 hours, by its fit"] = None
+    part: Annotated[str | None, "channel that locates the cause between command and thrust: escN, propN"] = None
     sd: Annotated[float | None, "standard deviation of estimate, in unit; null where it is not known"] = None
 
     def __post_init__(self) -> None:

@@ -55,11 +55,11 @@ _LANDED_NS = 3 * SECOND_NS
 """How long a vehicle has to be disarmed before its alarms are closed: three heartbeats, so that a forged one is
 contradicted before (:mod:`monitor.sampling.phase`)."""
 _TWICE_NUMBERED = (
-    "its packets bear two series of sequence numbers (or several links of the vehicle are put together into one: give "
-    "each a port of its own)"
+    "its packets have two series of sequence numbers (or several links of the vehicle are merged into one: give each a "
+    "port of its own)"
 )
-_BY_TURNS = "came more often than before, with values of two senders by turns"
-_SENT_BEFORE = "brings values that it brought before, one after the other: a recorded stretch is sent again"
+_BY_TURNS = "came more often than before, with the values of two senders alternating"
+_SENT_BEFORE = "repeats earlier values, one after the other: a recording is sent again"
 _NUMBERED_NS = 10_000_000_000
 """How long a contradiction is reported after the last finding. Chosen: as long as clocks are contested
 (``core/sampling.pyx``)."""
@@ -521,7 +521,7 @@ class Pipeline:
             self._down_ns = now_ns
         if now_ns < self._landed_ns:
             return []
-        why = "closed at landing: nothing tells whether it is gone"
+        why = "cleared at landing: whether the fault is gone is not known"
         return [event for chain in self._chains for event in chain.close(now_ns, self._clock.newest_ns, why)]
 
     def _silence(self, now_ns: int) -> list[AlarmEvent]:

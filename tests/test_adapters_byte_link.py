@@ -162,5 +162,5 @@ def test_a_serial_line_is_written_to_and_blocks_nobody_when_it_is_full() -> None
 
 
 def test_a_udpout_without_a_way_is_reported_in_one_line() -> None:
-    with pytest.raises(TelemetryError, match=r"udpout:255.255.255.255:1: there is no way to that address: "):
+    with pytest.raises(TelemetryError, match=r"udpout:255.255.255.255:1: there is no route to that address: "):
         open_byte_link("udpout:255.255.255.255:1", may_send=True)

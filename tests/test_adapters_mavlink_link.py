@@ -456,7 +456,7 @@ def test_a_link_opened_to_listen_does_not_send() -> None:
         ("udpin:127.0.0.1:", "no HOST:PORT"),
         ("udpin:127.0.0.1:70000", "no HOST:PORT"),
         ("tcp:127.0.0.1:-1", "no HOST:PORT"),
-        ("udpout:127.0.0.1:14550", "only listens"),
+        ("udpout:127.0.0.1:14550", "never sends"),
         ("udpin:1.2.3.4:14550", "cannot listen there: Cannot assign"),
         ("tcpin:1.2.3.4:5760", "cannot listen there: Cannot assign"),
         ("serial:/dev/no-such-device:57600", "cannot be opened: "),

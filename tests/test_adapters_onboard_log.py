@@ -131,7 +131,7 @@ def test_a_file_of_several_logs_is_refused_and_says_where_to_split_it(
     kind: Kind, folder: Path, data: st.DataObject
 ) -> None:
     end = data.draw(st.integers(kind.ends[2], len(kind.flight)))
-    with pytest.raises(TelemetryError, match=rf"second begins at byte {end}: split it there \(head -c {end}; "):
+    with pytest.raises(TelemetryError, match=rf"second from byte {end} on: split it there \(head -c {end}; "):
         kind.read(folder, kind.flight[:end] + kind.flight)
 
 

@@ -25,7 +25,7 @@ from monitor.event import Kind
             "m/s",
             -1.2,
             None,
-            "GPS velocity and accelerations went 1.2 m/s apart, south: GPS, accelerometer, gyro or attitude is wrong; "
+            "GPS velocity and accelerations differ by 1.2 m/s south: GPS, accelerometer, gyro or attitude is wrong; "
             "which one cannot be told",
         ),
         ("baro", "sensor", "m", 8.0, None, "barometer reads 8 m too high"),

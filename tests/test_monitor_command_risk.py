@@ -11,7 +11,7 @@ from monitor.alarms.command_watch import command_risk
         ("400", (0.0, 21196.0), "disarms"),
         ("400", (1.0,), None),
         ("246", (1.0,), "reboots the autopilot"),
-        ("185", (1.0,), "terminates the flight"),
+        ("185", (1.0,), "triggers termination"),
         ("176", (1.0, 4.0), "changes the mode"),
         ("SET_MODE", (81, 4), "changes the mode"),
         ("512", (0.0,), None),

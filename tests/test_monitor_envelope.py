@@ -42,14 +42,14 @@ def test_sizes_grow_with_the_tilt_and_shrink_back_with_the_washout() -> None:
     assert found[250] == pytest.approx(62.0 / 40.0)
     assert found[300 + 3000] == pytest.approx(1.0 + 22.0 / 40.0 / math.e, rel=0.01)
     assert found[-1] < 1.1
-    after = "there and for half a minute after sizes are larger"
+    after = "only larger faults are detected there and 30 s after"
     assert stage.furthest == (1.0, f"outside the fitted flights: tilt 62 degrees, fitted to 40; {after}")
 
 
 def test_the_status_says_by_how_much_while_it_matters() -> None:
     stage = EnvelopeStage(CALM, SIGNALS, RATE_HZ)
     factors(stage, flight(1.0, roll=math.radians(62.0)))
-    text = "outside the fitted flights (tilt 62 degrees, fitted to 40): seen from 1.6 times the sizes on"
+    text = "outside the fitted flights (tilt 62 degrees, fitted to 40): only faults 1.6 times as large are detected"
     assert stage.outside == text
     factors(stage, np.concatenate([flight(90.0)] * 2))
     assert stage.outside is None

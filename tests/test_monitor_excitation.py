@@ -63,10 +63,16 @@ def test_what_no_fitted_flight_did_is_told_while_it_counts_and_of_the_whole_run(
     assert stage.furthest is None
     found = stage.run(of, np.ones(80))
     assert found[[0, 30], 3].tolist() == [1.0, 2.0]
-    assert stage.outside == "outside the fitted flights (rate 2 rad/s, fitted to 1): seen from 7.2 times the sizes on"
+    assert (
+        stage.outside
+        == "outside the fitted flights (rate 2 rad/s, fitted to 1): only faults 7.2 times as large are detected"
+    )
     stage.run(calm, np.ones(80))
     assert stage.outside is None
-    assert stage.furthest == (1.2, "outside the fitted flights: rate 2 rad/s, fitted to 1; there sizes are larger")
+    assert stage.furthest == (
+        1.2,
+        "outside the fitted flights: rate 2 rad/s, fitted to 1; only larger faults are detected there",
+    )
 
 
 def test_a_change_of_a_command_counts_though_nothing_turns_yet() -> None:

@@ -156,7 +156,7 @@ def test_openmetrics_is_given_to_whoever_asks_for_it() -> None:
 @pytest.mark.parametrize(
     ("unwell", "complaint"),
     [
-        (Health(ProcessHealth(loop_age_s=7.0)), "the main loop has stood still for 7 s"),
+        (Health(ProcessHealth(loop_age_s=7.0)), "the main loop has not run for 7 s"),
         (Health(ProcessHealth(inbox_depth=5, inbox_capacity=5)), "the inbox is full (5 messages)"),
         (
             Health(ProcessHealth(inbox_dropped_minute=3)),

@@ -49,7 +49,7 @@ def test_health_is_200_while_all_is_well_and_503_with_the_reason_otherwise() -> 
         present[0] = Health(ProcessHealth(loop_age_s=60.0))
         status, _, body = get(server, "/healthz")
         assert status == 503
-        assert json.loads(body)["problems"] == ["the main loop has stood still for 60 s"]
+        assert json.loads(body)["problems"] == ["the main loop has not run for 60 s"]
         assert get(server, "/metrics")[0] == 200
 
 

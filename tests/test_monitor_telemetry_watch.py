@@ -92,7 +92,7 @@ def test_a_receiver_without_a_fix_is_named(telemetry: Telemetry) -> None:
     watch.count_messages("GPS_RAW_INT", at_ns, 2, {"fix_type": np.array([3, 1])})
     assert watch.lacks(at_ns) == ["motors watches nothing: GPS_RAW_INT says fix_type 1 and counts from 2 on"]
     watch.count_messages("GPS_RAW_INT", at_ns, 2, {"fix_type": np.array([1, 3])})
-    assert watch.lacks(at_ns) == ["motors watches nothing: its measurements do not come together"]
+    assert watch.lacks(at_ns) == ["motors watches nothing: no times in common"]
 
 
 def test_a_vehicle_that_comes_late_is_given_time_for_its_first_sample(telemetry: Telemetry) -> None:
@@ -100,7 +100,7 @@ def test_a_vehicle_that_comes_late_is_given_time_for_its_first_sample(telemetry:
     [said] = telemetry.run(60, {})
     assert said.startswith("motors watches nothing: no ")
     assert telemetry.run(4, rates, samples=False) == []
-    assert telemetry.run(2, rates, samples=False) == ["motors watches nothing: its measurements do not come together"]
+    assert telemetry.run(2, rates, samples=False) == ["motors watches nothing: no times in common"]
     assert telemetry.run(1, rates) == []
 
 

@@ -39,7 +39,7 @@ def test_a_process_whose_loop_stands_still_ends_with_a_failure_and_says_where() 
     with started(0.1) as process:
         _, said = process.communicate(timeout=30)
     assert process.returncode == 1
-    assert b"the main loop has stood still" in said
+    assert b"the main loop has not run" in said
     assert b'File "<string>", line 11' in said
 
 

@@ -122,7 +122,7 @@ def test_service_is_due_at_the_limit_and_far_off_is_not_foretold() -> None:
 
 def test_too_few_flights_tell_of_no_trend() -> None:
     flights = flown(np.random.default_rng(1), 3, {"motor1": -5.0})
-    assert wear_sentences(find_wear(flights))[0].startswith("No trend can be told from these flights (3 flights, ")
+    assert wear_sentences(find_wear(flights))[0].startswith("These flights show no trend (3 flights, ")
 
 
 def test_flights_are_put_in_order_and_a_second_log_of_one_is_left_out() -> None:

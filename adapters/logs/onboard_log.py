@@ -415,8 +415,8 @@ class OnboardLogReader(ABC):
         if found >= 0:
             at = window.offset + found - window.at
             raise TelemetryError(
-                f"{self._path}: holds several logs, one behind the other, and the second begins at byte {at}: split it "
-                f"there (head -c {at}; tail -c +{at + 1}), and give each as a file of its own"
+                f"{self._path}: contains several logs in a row, the second from byte {at} on: split it there "
+                f"(head -c {at}; tail -c +{at + 1}), and give each as a file of its own"
             )
 
     def _log_clock(self) -> LogClock:

@@ -64,7 +64,7 @@ def recording_kind(path: str | os.PathLike[str]) -> RecordingKind:
     kind = _KINDS.get(_plain(file).suffix.lower())
     if kind is None:
         known = ", ".join([*_KINDS][:-1]) + f" or {[*_KINDS][-1]}"
-        raise TelemetryError(f"{path}: unknown kind of recording; use {known}, plain or with .xz or .gz behind")
+        raise TelemetryError(f"{path}: unknown kind of recording; use {known}, plain, .xz or .gz")
     if not file.is_file():
         raise TelemetryError(f"{path}: no such file")
     with contextlib.suppress(OSError), file.open("rb") as opened:

@@ -99,7 +99,7 @@ def open_byte_link(url: str, may_send: bool = False) -> ByteLink:
         return _Serial(url, where)
     if kind == "udpout" and not may_send:
         raise TelemetryError(
-            f"{url}: a monitor that only listens is never heard by the other side; let it send to us and use "
+            f"{url}: the other side only answers, and this monitor never sends; let the vehicle send here and use "
             "udpin:HOST:PORT"
         )
     if kind not in ("udp", "udpin", "udpout", "tcp", "tcpin"):
@@ -168,7 +168,7 @@ def _towards(url: str, address: Address) -> socket.socket:
         out.connect(address[1])
     except OSError as error:
         out.close()
-        raise TelemetryError(f"{url}: there is no way to that address: {error.strerror}") from error
+        raise TelemetryError(f"{url}: there is no route to that address: {error.strerror}") from error
     out.setblocking(False)
     return out
 

@@ -199,7 +199,7 @@ class _Work:
         inside = np.clip(theta, low, high)
         if not np.isfinite(shooting.residual(inside)).all():
             at = ", ".join(f"{p.name} = {v:g}" for p, v in zip(self.model.parameters, inside, strict=True))
-            raise ModelError(f"{self.model.path}: the model runs away from the data at {at}; give other 'start' values")
+            raise ModelError(f"{self.model.path}: the model diverges from the data at {at}; give other 'start' values")
         fit = least_squares(
             shooting.residual,
             inside,

@@ -112,7 +112,7 @@ def _sensor(channel: str, unit: str, size: float) -> str | None:
         return f"GPS is {amount} {word} where the inertial sensors say"
     if name == "motion" and axis in _AXES:
         return (
-            f"GPS velocity and accelerations went {amount} apart, {_AXES[axis][size < 0]}: GPS, accelerometer, gyro or "
+            f"GPS velocity and accelerations differ by {amount} {_AXES[axis][size < 0]}: GPS, accelerometer, gyro or "
             "attitude is wrong; which one cannot be told"
         )
     if name == "gps_velocity":

@@ -38,7 +38,7 @@ _RISKS = {
     "176": "changes the mode",
     "179": "moves the home position",
     "183": "sets outputs",
-    "185": "terminates the flight",
+    "185": "triggers termination",
     "187": "sets outputs",
     "189": "makes it land",
     "192": "sends it elsewhere",
@@ -71,7 +71,7 @@ _RISKS_WITH = {
 _ENDS = frozenset(
     {
         "disarms", "reboots the autopilot", "releases the parachute", "stops the engine", "stops the motors",
-        "terminates the flight",
+        "triggers termination",
     }
 )  # fmt: skip
 # Messages that write plans, and which of their values is the plan's type (MAV_MISSION_TYPE).

@@ -352,7 +352,7 @@ class AlarmDesk:
                 before.over, before.text = None, event.message
                 again = replace(event, id=before.event.id, since_ns=before.event.since_ns, state="updated")
                 return self._keep_joined(before, again)
-            text = f"{event.message}; it is back before it was reset"
+            text = f"{event.message}; it came back before it was reset"
             again = replace(event, id=before.event.id, since_ns=before.event.since_ns, state="updated", message=text)
             return self._keep(before, again, latched=False, acknowledged=False)
         published = self._flood(event)

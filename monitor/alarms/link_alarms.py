@@ -28,7 +28,7 @@ heartbeat."""
 HEARTBEAT_NS = 10_000_000_000
 """Ten heartbeats at MAVLink's rate of one a second. A link that loses 10 % at random misses ten in a row once in 350
 years, one that loses 30 % once in three days."""
-_ENDS = {SIGNING: "no more packets with a wrong signature", COMMAND: "nothing of the kind was commanded any more"}
+_ENDS = {SIGNING: "no more packets with a wrong signature", COMMAND: "such commands have ended"}
 """For each channel, the sentence with which an alarm of single messages clears."""
 _MOST_PACKETS = 1 << 62
 """Counts of a recording are limited to this, so that the sum of three fits into 64 bits."""
@@ -117,8 +117,8 @@ class LinkAlarms:
         """Follow the contradictions at a Unix time, a sentence for each; return the events that a change causes."""
         active = self._active.get(IMPOSTOR)
         if not contested:
-            return [] if active is None else [self._clear(IMPOSTOR, now_ns, "nothing contradicts itself any more")]
-        text = f"a second sender speaks in the vehicle's name: {'; '.join(contested)}"
+            return [] if active is None else [self._clear(IMPOSTOR, now_ns, "the contradictions have ended")]
+        text = f"a second sender uses the vehicle's id: {'; '.join(contested)}"
         if active is None:
             self._affected = []
             return [self._raise(IMPOSTOR, "security", severity, now_ns, None, "", text)]
@@ -161,7 +161,7 @@ class LinkAlarms:
         sender: tuple[int, int] | str | None = finding.sender
         text = finding.text
         if sender not in self._commanded and len(self._commanded) >= _MOST_SAID:
-            sender, text = "others", "others command it, too"
+            sender, text = "others", "further senders command it, too"
         if self._commanded.get(sender) != text:
             self._commanded[sender], self._commanded_ns = text, now_ns
         return self._command_said(now_ns)
@@ -199,7 +199,7 @@ class LinkAlarms:
         self._counts = counts
         self._last_ns[SIGNING] = now_ns
         counted = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-        text = f"packets with a wrong signature in the vehicle's name were refused: {counted} so far"
+        text = f"packets with the vehicle's id and a wrong signature were refused: {counted} so far"
         severity: Severity = "critical" if counts["forged"] or counts["replayed"] else "warning"
         size = float(total - self._baseline)
         active = self._active.get(SIGNING)

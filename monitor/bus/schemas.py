@@ -59,20 +59,20 @@ _ALARM = {key: value for key, value in ALARM_SCHEMA.items() if key != "$schema"}
 
 _ESTIMATE = _object(
     "Estimate",
-    "What an observer says at one sample, on PREFIX/VEHICLE/estimate/OBSERVER.",
+    "An observer's estimates at one sample, on PREFIX/VEHICLE/estimate/OBSERVER.",
     {
         "time_ns": _TIME,
         "vehicle_time_ms": {"type": "integer", "description": "the same on the vehicle's own clock"},
         "armed": {"type": "boolean", "description": "whether samples are evidence: in the air, settled"},
         "x": _BY_NAME | {"description": "states"},
         "fault": _BY_NAME | {"description": "estimates of the faults"},
-        "isolated": _BY_NAME | {"description": "what of it is evidence, zero where the fault is not responsible"},
+        "isolated": _BY_NAME | {"description": "estimates that are evidence; zero if not held responsible"},
         "residual": _BY_NAME | {"description": "measurement minus prediction"},
     },
     {
-        "sd": _BY_NAME | {"description": "standard deviations of what is estimated, by its name"},
-        "coasted_s": _AMOUNT | {"description": "time since the last measurement, bridged on the model"},
-        "commands": _BY_NAME | {"description": "of motors, by their faults' names: what they lost is a share of it"},
+        "sd": _BY_NAME | {"description": "standard deviations of the estimates, by name"},
+        "coasted_s": _AMOUNT | {"description": "time since the last measurement, on the model alone"},
+        "commands": _BY_NAME | {"description": "of motors, by their faults; a loss is a share of it"},
     },
 )
 
@@ -80,10 +80,9 @@ _LINK = _part(
     {
         "connected": {"type": "boolean"},
         "messages": _COUNT | {"description": "messages received since the start, of all vehicles"},
-        "losses": _by(_COUNT, "what was lost on the link or refused, by reason, as in fauio_link_losses_total"),
-        "delay_s": _PERHAPS
-        | {"description": "mean time by which messages of the last minute were later than the quickest"},
-        "jitter_s": _PERHAPS | {"description": "mean change of that from one message of a kind to the next"},
+        "losses": _by(_COUNT, "messages lost on the link or refused, by reason, as in fauio_link_losses_total"),
+        "delay_s": _PERHAPS | {"description": "mean delay of the last minute's messages against the quickest one"},
+        "jitter_s": _PERHAPS | {"description": "mean change of the delay between messages of a kind"},
         "lost_share": _PERHAPS | {"description": "share of the last minute's packets that was lost"},
     },
     ["connected", "messages", "losses"],
@@ -92,12 +91,12 @@ _LINK = _part(
 _EVIDENCE_TIME = {"type": ["integer", "null"], "description": "Unix time of its last evidence, nanoseconds; null: none"}
 _WATCHING = _part(
     {
-        "share": _AMOUNT | {"maximum": 1, "description": "of the last minute of vehicle time, with evidence"},
+        "share": _AMOUNT | {"maximum": 1, "description": "share of the last minute of vehicle time with evidence"},
         "last_ns": _EVIDENCE_TIME,
         "why_not": {
             "type": ["string", "null"],
-            "description": "what keeps it from having evidence: on_ground, gap, settling, clock, not_carried, "
-            "contradicted or no_message NAME; null where nothing does",
+            "description": "why it has no evidence: on_ground, gap, settling, clock, not_carried, "
+            "contradicted or no_message NAME; null if it has",
         },
         "sensors": _by(_EVIDENCE_TIME),
     }
@@ -107,7 +106,7 @@ _CHANNEL = _part(
     {
         "threshold": _PERHAPS,
         "unit": {"type": "string"},
-        "usual_command": _PERHAPS | {"description": "of a motor in hover; what it lost is a share of it"},
+        "usual_command": _PERHAPS | {"description": "command of a motor in hover; a loss is a share of it"},
     },
     ["threshold", "unit"],
 )
@@ -125,17 +124,17 @@ _CONDITION = _part(
 )
 _FACTS = _part(
     {
-        "heartbeat": _by(_COUNT, "its last one: mode, armed"),
+        "heartbeat": _by(_COUNT, "its last heartbeat: mode, armed"),
         "position": _PLACE | {"description": "as the autopilot estimates it: degrees north, degrees east, metres"},
-        "gps": _PLACE | {"description": "as the receiver says it"},
+        "gps": _PLACE | {"description": "as the GPS receiver reports it"},
         "texts": _list_of(
             _part({"time_ns": _TIME, "severity": _COUNT, "text": {"type": "string"}}),
             "the last messages of the autopilot",
         ),
-        "conditions": _list_of(_CONDITION, "the last of each kind that was seen and is no fault"),
+        "conditions": _list_of(_CONDITION, "the newest condition of each kind; conditions are no faults"),
     },
     ["texts"],
-    description="what the vehicle last said about itself, and what is no fault",
+    description="the vehicle's last reports about itself, and conditions that are no faults",
 )
 
 _STATUS = _object(

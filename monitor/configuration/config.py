@@ -220,7 +220,7 @@ class Commands:
         ["ack", "shelve", "unshelve", "reset"],
     )
     max_shelve_minutes: float = _key(480, _POSITIVE, "Longest time an alarm can be shelved.")
-    default_shelve_minutes: float = _key(60, _POSITIVE, "Time where none is asked for.")
+    default_shelve_minutes: float = _key(60, _POSITIVE, "Time if a request names none.")
 
 
 @dataclass(frozen=True)

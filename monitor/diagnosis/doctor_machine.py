@@ -118,7 +118,7 @@ def clock_checks() -> list[DoctorCheck]:
     if abs(elapsed_wall - elapsed) > _LARGEST_DRIFT * elapsed:
         state = f"it moved {elapsed_wall / 1e6:.1f} ms in {elapsed / 1e6:.1f} ms"
         checks.append(
-            DoctorCheck(name, "failed", state, "something sets it right now; wait, or look for two time services")
+            DoctorCheck(name, "failed", state, "a time service is correcting it; wait, or look for two time services")
         )
     else:
         checks.append(DoctorCheck(name, "ok", "it runs evenly"))

@@ -87,7 +87,7 @@ class EnvelopeStage:
     @property
     def furthest(self) -> tuple[float, str] | None:
         """For how long, seconds, and how far a run was outside of the fitted flights; None if it was not."""
-        sizes, after = self._sizes(self._core.furthest), "there and for half a minute after sizes are larger"
+        sizes, after = self._sizes(self._core.furthest), "only larger faults are detected there and 30 s after"
         return furthest_text(sizes, self._core.rows / self._rate_hz, after)
 
     def _sizes(self, sizes: Sequence[float]) -> Iterator[tuple[str, float, float, str]]:
@@ -123,4 +123,4 @@ def furthest_text(
 def outside_text(sizes: Iterable[tuple[str, float, float, str]], factor: float) -> str | None:
     """Return which sizes of a flight are outside of the fitted ones, and the factor on the faults detected there."""
     text = excess_text(sizes)
-    return text and f"outside the fitted flights ({text}): seen from {factor:.2g} times the sizes on"
+    return text and f"outside the fitted flights ({text}): only faults {factor:.2g} times as large are detected"

@@ -101,7 +101,7 @@ class ExcitationStage:
     def furthest(self) -> tuple[float, str] | None:
         """For how long, seconds, and how far a run was outside of the fitted flights; None if it was not."""
         sizes, seconds = self._sizes(*self._core.furthest), self._core.rows / self._rate_hz
-        return furthest_text(sizes, seconds, "there sizes are larger")
+        return furthest_text(sizes, seconds, "only larger faults are detected there")
 
     def _sizes(self, rate: float, change: float) -> list[tuple[str, float, float, str]]:
         rate_fitted, change_fitted = self._fitted

@@ -38,9 +38,9 @@ _CARRIED: dict[int, Carried] = {1: "both", 2: "both", 3: "rotors", 4: "wings"}
 # The values of MAV_LANDED_STATE.
 _LANDED: dict[int, Landed] = {1: "ground", 2: "air", 3: "takeoff", 4: "landing"}
 CONTESTED = {
-    "HEARTBEAT": "its HEARTBEAT says by turns that it is armed and that it is not, or another vehicle",
-    "EXTENDED_SYS_STATE": "its EXTENDED_SYS_STATE says by turns that it flies and that it does not",
-    "PARAM_VALUE": "its PARAM_VALUE says in flight that it has another frame than before",
+    "HEARTBEAT": "its HEARTBEAT alternates between armed and disarmed, or between two vehicles",
+    "EXTENDED_SYS_STATE": "its EXTENDED_SYS_STATE alternates between flying and not flying",
+    "PARAM_VALUE": "its PARAM_VALUE reports another frame in flight than before",
 }
 """The messages that two senders answer by turns, with a sentence for each."""
 _WINDOW_NS = 10_000_000_000

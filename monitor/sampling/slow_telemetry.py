@@ -107,4 +107,5 @@ def seldom_text(observer: str, source: SampleSource, rate_hz: float, rates: Mapp
     if found := unfitted(source, rate_hz, rates):
         return f"{observer} watches nothing: {found}; fit it to recordings like this one"
     seldom = ", ".join(f"{name} {rates[name]:.2g} Hz" for name in slow)
-    return f"{observer} sees faults late, not at all, or where none are: {seldom} for {rate_hz:g} samples a second"
+    which = f"{seldom} for {rate_hz:g} samples a second"
+    return f"{observer} detects faults late or not at all, and may raise false alarms: {which}"

@@ -167,7 +167,7 @@ class Election:
         if not self._seal.holds(sample):
             if not self._forged:
                 self._forged = True
-                text = "somebody without the standby's key speaks as a monitor on %s; it has no say"
+                text = "a sender without the standby key claims to be a monitor on %s; it is ignored"
                 logging.getLogger(__name__).warning(text, sample.key_expr)
             return
         said = decode_payload(sample.payload)

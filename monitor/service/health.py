@@ -144,13 +144,13 @@ def problems(health: Health) -> list[str]:
     found = []
     process = health.process
     if process.loop_age_s > LOOP_LIMIT_S:
-        found.append(f"the main loop has stood still for {process.loop_age_s:.0f} s")
+        found.append(f"the main loop has not run for {process.loop_age_s:.0f} s")
     if process.inbox_capacity and process.inbox_depth >= process.inbox_capacity:
         found.append(f"the inbox is full ({process.inbox_depth} messages): messages are dropped")
     found += troubles(health)
     for vehicle in health.vehicles:
         if vehicle.impostor is not None:
-            found.append(f"{vehicle.name}: a second sender speaks in its name: {vehicle.impostor}")
+            found.append(f"{vehicle.name}: a second sender uses its id: {vehicle.impostor}")
         if vehicle.blind is not None:
             found.append(f"{vehicle.name}: {vehicle.blind}")
         if vehicle.recorder is not None and vehicle.recorder.trouble is not None:

@@ -190,7 +190,7 @@ def _open_messengers(config: Config, log: ServiceLog, stack: ExitStack) -> tuple
 
     def on_failure(outlet: str, reason: str | None) -> None:
         if reason is None:
-            log.say("notifications go through again", outlet=outlet)
+            log.say("notifications are delivered again", outlet=outlet)
         else:
             log.say("notification failed", level="warning", outlet=outlet, reason=reason, now="it is tried again")
 

@@ -174,7 +174,7 @@ METRICS = (
     MetricRow(
         "fauio_vehicle_latency_seconds",
         ("vehicle",),
-        "from the arrival of a message to what follows from it, since the start",
+        "from the arrival of a message to its results, since the start",
     ),
     _VEHICLE.row(
         "fauio_vehicle_latency_recent_seconds",
@@ -189,7 +189,7 @@ METRICS = (
         "evidence_age_s",
         "time since the observer had evidence; absent while it never had",
     ),
-    _OBSERVER.row("fauio_observer_losses_total", "losses", "measurements that the observer did without", "reason"),
+    _OBSERVER.row("fauio_observer_losses_total", "losses", "measurements that the observer lacked", "reason"),
     _RECORDER.row("fauio_recorder_records_total", "records", "records written"),
     _RECORDER.row("fauio_recorder_lost_total", "lost", "records that could not be written"),
     _RECORDER.row(
@@ -199,12 +199,10 @@ METRICS = (
     ),
     _LINK.row("fauio_link_connected", "connected", "1 while the link is open"),
     _LINK.row("fauio_link_messages_total", "messages", "messages received"),
-    _LINK.row(
-        "fauio_link_delay_seconds", _figure("delay_s"), "mean time by which messages are later than the quickest"
-    ),
-    _LINK.row("fauio_link_jitter_seconds", _figure("jitter_s"), "mean change of that from one message to the next"),
+    _LINK.row("fauio_link_delay_seconds", _figure("delay_s"), "mean delay of messages against the quickest one"),
+    _LINK.row("fauio_link_jitter_seconds", _figure("jitter_s"), "mean change of the delay between two messages"),
     _LINK.row("fauio_link_lost_ratio", _figure("lost_share"), "share of the last minute's packets that was lost"),
-    _LINK.row("fauio_link_losses_total", "losses", "what was lost on the link or refused", "reason"),
+    _LINK.row("fauio_link_losses_total", "losses", "messages lost on the link or refused", "reason"),
     _JOURNAL.row("fauio_journal_open", "open", "1 while the journal's file is open"),
     _JOURNAL.row("fauio_journal_events_total", "written", "alarm events committed"),
     _JOURNAL.row("fauio_journal_pending_events", "pending", "alarm events that wait for the disk"),
@@ -216,7 +214,7 @@ METRICS = (
     _OUTLET.row("fauio_notify_failed_total", "failed", "tries that failed"),
     _OUTLET.row("fauio_notify_dropped_total", "dropped", "notices that were never delivered"),
     _OUTLET.row("fauio_notify_waiting_messages", "waiting", "notices that wait: for the limit, or for the next try"),
-    _HEALTH.row("fauio_loop_age_seconds", "process.loop_age_s", "time since the main loop last came round"),
+    _HEALTH.row("fauio_loop_age_seconds", "process.loop_age_s", "time since the main loop last ran"),
     _HEALTH.row("fauio_inbox_messages", "process.inbox_depth", "messages waiting for the main loop"),
     _HEALTH.row("fauio_inbox_capacity_messages", "process.inbox_capacity", "the most that can wait"),
     _HEALTH.row("fauio_inbox_dropped_total", "process.inbox_dropped", "messages dropped because more were waiting"),

@@ -107,7 +107,7 @@ class TelemetryWatch:
         names = self._needs[observer]
         missing = sorted(name for name in names if now_ns - self._received.get(name, 0) >= _LACKING_NS)
         short = sorted(self._short[name] for name in names if self._short.get(name))
-        why = f"no {', '.join(missing)}" if missing else "; ".join(short) or "its measurements do not come together"
+        why = f"no {', '.join(missing)}" if missing else "; ".join(short) or "no times in common"
         return f"{observer} watches nothing: {why}"
 
     def _seldom(self, observer: ObserverProfile) -> str | None:

@@ -60,5 +60,5 @@ class Watchdog:
 def _say() -> None:
     stream = sys.__stderr__
     if stream is not None:
-        os.write(stream.fileno(), b"the main loop has stood still for 10 s: ending, so that it is started again\n")
+        os.write(stream.fileno(), b"the main loop has not run for 10 s: ending, so that it is started again\n")
         faulthandler.dump_traceback(stream)

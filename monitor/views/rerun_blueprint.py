@@ -95,7 +95,7 @@ def _way_views(way: Way) -> rrb.Vertical:
     zoom = math.log2(_MAP_PX / _TILE_PX * around_m / extent_m)
     return rrb.Vertical(
         rrb.MapView(origin="/map", zoom=min(zoom, _MOST_ZOOM), name="map: GPS red, by the estimates blue"),
-        rrb.Spatial3DView(origin="/space", name="attitude and way, east, north, up (m)"),
+        rrb.Spatial3DView(origin="/space", name="attitude and track, east, north, up (m)"),
     )
 
 

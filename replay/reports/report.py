@@ -108,8 +108,8 @@ def _map(way: LogSignal, spans: Sequence[tuple[float, float, str]]) -> Html:
     words = f'<text x="{_MARGIN_PX}" y="{_MAP_PX - 18}">{bar_m:g} m, north is up</text>'
     begin = f'<circle cx="{x[0]:.1f}" cy="{y[0]:.1f}" r="5"/>'
     drawn = joined_html([*lines, Html(begin), Html(bar), Html(words)])
-    svg = element("svg", drawn, viewBox=f"0 0 {_MAP_PX} {_MAP_PX}", role="img", aria_label="the way seen from above")
-    return element("figure", element("figcaption", "the way, from the circle on; stretches with alarms are thick"), svg)
+    svg = element("svg", drawn, viewBox=f"0 0 {_MAP_PX} {_MAP_PX}", role="img", aria_label="the track from above")
+    return element("figure", element("figcaption", "the track, from the circle on; parts with alarms are thick"), svg)
 
 
 def _line(x: NDArray[np.float64], y: NDArray[np.float64], name: str) -> Html:
@@ -126,7 +126,7 @@ _CHECKS: Mapping[str, str] = {
     "payload off the middle, or an arm bent, looks alike on every flight",
     r"esc\d+": "that ESC: its desynchronisation and temperature messages, connectors, firmware settings",
     r"prop\d+": "that propeller: chipped, loose, of another size, or the wrong way up",
-    r"gps_(north|east|down)|motion_(north|east)": "whether the place is where GPS says; satellites and noise of the "
+    r"gps_(north|east|down)|motion_(north|east)": "whether the position by GPS is right; satellites and noise of the "
     "receiver; jammers or spoofers near by; buildings that reflect",
     r"gps_velocity_\w+": "the receiver: satellites, noise, reflections; a spoofer that moves slowly shows here first",
     r"baro": "the barometer's hole (wind, rotor wash, light, water), and whether the temperature changed fast",

@@ -157,7 +157,7 @@ def judged(path: Path, facts: LogFacts, damage: Sequence[Damage] = ()) -> LogRev
 
 def _taught(facts: LogFacts, until_s: float) -> str:
     """Return a note on the begin, learned as healthy, with the commands that reveal a motor weak from the begin."""
-    said = f"what began before {until_s:.0f} s was learned as the vehicle's own make"
+    said = f"a fault from before {until_s:.0f} s was learned as a property of the vehicle"
     motors = facts.signal("motors")
     if not motors:
         return said

@@ -22,9 +22,9 @@ def add_review(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "review",
         help="find out what happened in a log, without a profile",
-        description="Report what happened in a log: the first thing that stopped following (commands the decision, "
-        "motors the commands, motion the motors, the estimator the motion), its evidence, evidence against other "
-        "causes, and what could not be judged. Exit status: 0 nothing wrong found, 1 something was found, 2 bad input.",
+        description="Report what happened in a log: the first step in the chain of decision, commands, motors, "
+        "motion and estimator that went wrong, its evidence, evidence against other causes, and what could not be "
+        "judged. Exit status: 0 nothing wrong found, 1 something was found, 2 bad input.",
         epilog="example: fauio review --quick healthy.tlog --report healthy.html",
     )
     option(parser, "logs LOG", LOG_HELP, Path, nargs="+")

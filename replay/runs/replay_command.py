@@ -24,8 +24,7 @@ ALARMS_RAISED = 4
 FAILED = 2
 """Exit status if a log could not be replayed: docs/reference/exit-status.md."""
 LOG_HELP = (
-    "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind, "
-    "or a folder of a recorded session"
+    "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), also compressed (.xz, .gz), or the folder of a session"
 )
 MAPPING_HELP = "how records of a .ulg or .bin become MAVLink messages, if the default is wrong"
 _FILE_OR_FOLDER = "; for several logs a folder, or a name with {log} in it"

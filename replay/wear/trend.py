@@ -277,8 +277,8 @@ def wear_sentences(wear: Wear) -> list[str]:
     if said:
         return said
     if all(trend.state == "few" for trend in wear.trends):
-        return [f"No trend can be told from these flights ({flown}): {LEAST_FLIGHTS} are needed that show a channel."]
-    return [f"No trend can be told from these flights ({flown}): none is more than what differs from flight to flight."]
+        return [f"These flights show no trend ({flown}): {LEAST_FLIGHTS} are needed that show a channel."]
+    return [f"These flights show no trend ({flown}): none is larger than the differences between flights."]
 
 
 def _service(trend: Trend, hours: float) -> str:
@@ -306,13 +306,13 @@ def trend_lines(wear: Wear) -> list[str]:
 def _trend_line(trend: Trend) -> str:
     name = f"{trend.of.observer}/{trend.of.channel}"
     if trend.line is None:
-        return f"{name}: no trend told, as {len(trend.points)} of the {LEAST_FLIGHTS} flights needed show it"
+        return f"{name}: no trend, as only {len(trend.points)} of the {LEAST_FLIGHTS} flights needed measured it"
     half = trend.line.quantile() * trend.line.slope_error
     judged: Mapping[Judged, str] = {
         "due": "needs service",
         "worn": "wears",
         "part": f"may be part of {trend.part_of}'s",
-        "unclear": f"no trend told, where one of {number_text(half, 2)} would be",
+        "unclear": f"no trend, though one of {number_text(half, 2)} would be seen",
     }
     return (
         f"{name}: {slope_text(trend.line.slope, half, trend.of.unit)}; differs by {number_text(trend.line.between, 2)} "

@@ -73,7 +73,7 @@ def run_trend(args: argparse.Namespace) -> int:
         from replay.wear.trend_plot import plot_trends
 
         plot_trends(args.plot, wear)
-    remark(*(f"{log}: left out; another log tells of the same time" for log in wear.doubled))
+    remark(*(f"{log}: left out; another log covers the same time" for log in wear.doubled))
     if args.json:
         say_json(wear.to_json())
     else:

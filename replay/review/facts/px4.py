@@ -205,7 +205,7 @@ def _gps(records: LogRecords, signals: dict[str, LogSignal], lacks: dict[str, st
         flags = records.signal("estimator_status", ["control_mode_flags"], ["flags"], "")
         fused = replace(flags, values=_bit(_GPS_BIT, flags.values).astype(np.float64))
     if fused and not fused.only[inside(fused.time_s, flight)].any():
-        lacks["gps"] = "the estimator did not use GPS in flight; what its receiver said has moved nothing"
+        lacks["gps"] = "the estimator did not use GPS in flight, so its receiver had no effect"
         return
     signals["gps"] = gps
     places = (["latitude_deg", "longitude_deg", "fix_type"], ["lat", "lon", "fix_type"])
