@@ -107,7 +107,9 @@ def test_motors_of_a_vehicle_on_its_wings_are_not_watched_and_its_sensors_are(
         for m in flight
     ]
     raised, *_, cleared = events_of(profile, states)
-    assert raised.message == ("the vehicle flies and is not watched: motors: flight not carried by its rotors alone for 5 s")
+    assert raised.message == (
+        "the vehicle flies and is not watched: motors: flight not carried by its rotors alone for 5 s"
+    )
     assert (raised.channel, raised.severity, cleared.state) == ("blind", "warning", "cleared")
     assert 20.0 <= (cleared.time_ns - first_ns) / 1e9 <= 27.0
 
