@@ -290,11 +290,14 @@ def test_a_stopped_motor_is_what_px4_sends_of_one() -> None:
 
 def test_what_the_controllers_ask_for_is_a_message() -> None:
     torque = [record("vehicle_torque_setpoint", ms, xyz=[0.1, -0.2, 0.3]) for ms in (1.0, 21.0)]
-    thrust = [record("vehicle_thrust_setpoint", ms, xyz=[0.0, 0.0, -0.5]) for ms in (1.0, 21.0)]
+    thrust = [record("vehicle_thrust_setpoint", ms, xyz=[0.25, 0.0, -0.5]) for ms in (1.0, 21.0)]
     [found, _] = made([torque[0], thrust[0], torque[1], thrust[1]], "ACTUATOR_CONTROL_TARGET")
     assert found.fields["time_usec"] == 1000
-    assert found.fields["controls"][:4] == pytest.approx([0.1, -0.2, 0.3, 0.5])
-    assert all(isnan(value) for value in found.fields["controls"][4:])
+    assert found.fields["controls"][:5] == pytest.approx([0.1, -0.2, 0.3, 0.5, 0.25])
+    assert all(isnan(value) for value in found.fields["controls"][5:])
+    old = record("actuator_controls_0", 1.0, control=[0.1, -0.2, 0.3, 0.5, 0.0, 0.0, 0.0, 0.0])
+    [found] = made([old], "ACTUATOR_CONTROL_TARGET")
+    assert found.fields["controls"][:5] == pytest.approx([0.1, -0.2, 0.3, 0.5, 0.5])
     rate = [
         dataflash("MOTB", 0.5, LiftMax=0.9, ThrOut=0.31),
         dataflash("RATE", 1, ROut=0.1, POut=0.2, YOut=0.3, AOut=0.3),

@@ -6,6 +6,7 @@ from simulated_vehicles import DELAY_S, LAG_S, RATE_HZ, ROLL, SIDE_FORCE, flight
 
 from adapters.errors import ModelError
 from gains.identification.regression import AxisModel, coloured_inflation, fit_axis
+from gains.identification.segment import Segment
 from monitor.vehicles.plane.transform import SurfaceInputs
 
 ROLL_AXIS = AxisModel("roll_rate", "aileron", ("pressure", "side_force"), offset=False)
@@ -33,6 +34,18 @@ def test_breaks_between_segments_are_respected() -> None:
     pieces = [type(whole)(whole.u[k : k + 300], whole.y[k : k + 300]) for k in range(0, 2400, 300)]
     fit = fit_axis(pieces, RATE_HZ, SurfaceInputs.inputs, OUTPUTS, ROLL_AXIS)
     assert (fit.a, fit.b) == pytest.approx(ROLL, rel=0.05)
+
+
+def test_an_output_that_forgets_within_a_sample_has_no_memory() -> None:
+    rng = np.random.default_rng(1)
+    u, y = rng.normal(size=1500), np.zeros(1500)
+    for k in range(1499):
+        y[k + 1] = -0.2 * y[k] + 5.0 * u[k] + rng.normal()
+    axis = AxisModel("roll_rate", "aileron", (), offset=False)
+    fit = fit_axis([Segment(u[:, None], y[:, None])], RATE_HZ, ["aileron"], ["roll_rate"], axis)
+    assert fit.a == 0.0
+    assert fit.b == pytest.approx(5.0, rel=0.05)
+    assert fit.t_value > 50.0
 
 
 def test_a_rival_that_moves_in_step_makes_the_coefficient_uncertain() -> None:

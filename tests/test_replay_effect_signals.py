@@ -131,6 +131,25 @@ def test_outputs_that_are_not_known_or_mixed_are_refused(parameters: Mapping[str
         plane_outputs(parameters, px4)
 
 
+@pytest.mark.parametrize(
+    ("parameters", "outputs_hz"), [(PX4 | outputs_of("PWM_MAIN_FUNC", FOUR), 10.0), (TAIL, 50.0), ({}, 50.0)]
+)
+def test_a_log_of_px4_also_has_what_the_controllers_ask_for(parameters: Mapping[str, float], outputs_hz: float) -> None:
+    rates = RATES | {"SERVO_OUTPUT_RAW": outputs_hz, "ACTUATOR_CONTROL_TARGET": 50.0}
+    log = replace(FULL, rate_hz=rates, parameters=parameters, px4=True, onboard=True)
+    plane = plane_signals([log])
+    asked = {channel.name: channel.value({"controls": [0.1, 0.2, 0.3, 0.4, 0.5]}) for channel in plane.channels[:4]}
+    assert asked == {"aileron": 0.1, "elevator": 0.2, "rudder": 0.3, "throttle": 0.5}
+    assert plane.rate_hz == 50.0
+
+
+def test_outputs_that_come_as_often_as_the_controls_are_preferred() -> None:
+    rates = RATES | {"ACTUATOR_CONTROL_TARGET": 100.0}
+    parameters = PX4 | outputs_of("PWM_MAIN_FUNC", FOUR)
+    log = replace(FULL, rate_hz=rates, parameters=parameters, px4=True, onboard=True)
+    assert {channel.message for channel in plane_signals([log]).channels[:4]} == {"SERVO_OUTPUT_RAW"}
+
+
 def test_wheels_of_two_sides_are_refused() -> None:
     skid = {"SERVO1_FUNCTION": 73.0, "SERVO3_FUNCTION": 74.0}
     with pytest.raises(TelemetryError, match="outputs 1, 3 act about two axes"):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from math import tau
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
-from monitor.fitting.output_functions import Actuator, actuator_channels
+from monitor.fitting.output_functions import CONTROLS_MESSAGE, Actuator, actuator_channels
 from monitor.fitting.survey import IMUS, MOTOR_MESSAGE, Survey, in_every
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.slow_telemetry import LOG_FASTER
@@ -18,8 +18,8 @@ _ATTITUDE = "ATTITUDE"
 _ANGLES = {"roll": "roll", "pitch": "pitch", "yaw": "yaw"}
 _RATES = {"roll_rate": "rollspeed", "pitch_rate": "pitchspeed", "yaw_rate": "yawspeed"}
 _FORCES = {"forward_acceleration": "xacc", "lateral_acceleration": "yacc", "vertical_acceleration": "zacc"}
-EFFECT_MESSAGES = FlightPhase.interests | PARAMETER_MESSAGES | {MOTOR_MESSAGE, _ATTITUDE, *IMUS}
-"""Messages of attitude, acceleration and servo outputs, of the actuators on them, and of the phase of flight."""
+EFFECT_MESSAGES = FlightPhase.interests | PARAMETER_MESSAGES | {MOTOR_MESSAGE, CONTROLS_MESSAGE, _ATTITUDE, *IMUS}
+"""Messages of attitude, acceleration and commands, of the actuators on them, and of the phase of flight."""
 _RATES_HZ = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
 """Rates of the grid, hertz: the usual message rates of autopilots, so that samples fall on messages."""
 _NEARLY = 0.9
@@ -40,16 +40,16 @@ def effect_signals(
 ) -> EffectSignals:
     """Choose the channels of the transform's signals ``names``: of ``actuators`` and, by signal, of ``speeds``.
 
-    The grid follows the slowest of attitude, acceleration and servo outputs; speeds may come less often.
+    The grid follows the slowest of attitude, acceleration and commands; speeds may come less often.
 
     Raises
     ------
     TelemetryError
         A message that is needed is missing or comes too seldom; the text says which to record.
     """
-    for message, what in ((_ATTITUDE, "attitude"), (MOTOR_MESSAGE, "servo outputs")):
-        if in_every(surveys, [message]) is None:
-            raise TelemetryError(f"no {what} in every log; record {message} at 50 Hz or more")
+    if in_every(surveys, [_ATTITUDE]) is None:
+        raise TelemetryError(f"no attitude in every log; record {_ATTITUDE} at 50 Hz or more")
+    commands = actuator_channels(surveys, actuators)
     imu = in_every(surveys, IMUS)
     if imu is None:
         raise TelemetryError(f"no accelerations in every log; record one of {', '.join(IMUS)} at 50 Hz or more")
@@ -57,13 +57,14 @@ def effect_signals(
         **{name: Channel(name, _ATTITUDE, (field,), period=tau) for name, field in _ANGLES.items()},
         **{name: Channel(name, _ATTITUDE, (field,)) for name, field in _RATES.items()},
         **{name: Channel(name, imu, (field,), scale=IMUS[imu]) for name, field in _FORCES.items()},
-        **actuator_channels(surveys, actuators),
+        **commands,
         **speeds,
     }
-    return EffectSignals(tuple(known[name] for name in names), _rate_hz(surveys, (_ATTITUDE, MOTOR_MESSAGE, imu)))
+    messages = {_ATTITUDE, imu, *(channel.message for channel in commands.values())}
+    return EffectSignals(tuple(known[name] for name in names), _rate_hz(surveys, messages))
 
 
-def _rate_hz(surveys: Sequence[Survey], messages: Sequence[str]) -> float:
+def _rate_hz(surveys: Sequence[Survey], messages: Collection[str]) -> float:
     slowest, message = min((survey.rate_hz[message], message) for survey in surveys for message in messages)
     for rate in _RATES_HZ:
         if slowest >= _NEARLY * rate:

@@ -36,6 +36,7 @@ from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, r
 from monitor.fitting.fit_report import Comparison, compared, comparison_lines
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.output_functions import CONTROLS_MESSAGE
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated
 from monitor.profile import fault_channels
 from monitor.sampling.gate import GateRule
@@ -173,7 +174,7 @@ def fit_effects(
         reached=_reached(gains, flights),
         flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
         findings=_findings(fit, rate_hz, reference, reading),
-        lines=tuple(_lines(fit, rate_hz, reference, reading)),
+        lines=(*_lines(fit, rate_hz, reference, reading), *_asked(signals)),
         details=() if comparison is None else ("on data kept back:", *comparison_lines(comparison)),
         comparison=comparison,
         excuses=(ExcuseRule(tuple(gains.faults), kind.sensors, _EXCUSED_S, precedes=True),),
@@ -319,3 +320,11 @@ def _lines(fit: AxesFit, rate_hz: float, reference: float, reading: Mapping[str,
     for verdict in fit.excitation:
         if not verdict.excited:
             yield f"note: {verdict.actuator} is not watched: {verdict.advice}"
+
+
+def _asked(signals: EffectSignals) -> Iterable[str]:
+    if any(channel.message == CONTROLS_MESSAGE for channel in signals.channels):
+        yield (
+            f"commands are what PX4's controllers ask of the mixer ({CONTROLS_MESSAGE}), which its logs hold but links "
+            "do not: fit a profile for a link to recordings of the link"
+        )

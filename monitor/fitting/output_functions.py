@@ -3,6 +3,9 @@
 ArduPilot gives output n ``SERVOn_FUNCTION``. PX4 gives the outputs of each driver ``PWM_MAIN_FUNCn`` and the like: 101
 is its first motor, 201 the first servo, whose surface ``CA_SV_CS0_TYPE`` states. Of several drivers the one that drives
 most of the requested actuators counts, since a log's outputs are those of the driver that moves most.
+
+PX4's logs also hold what its controllers ask for about each axis, 50 times a second where outputs come 10 times, and
+whatever the mixer makes of it (elevons, V-tails).
 """
 
 from __future__ import annotations
@@ -12,10 +15,13 @@ from dataclasses import dataclass, replace
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
-from monitor.fitting.survey import MAX_OUTPUTS, MOTOR_MESSAGE, Survey
+from monitor.fitting.survey import MAX_OUTPUTS, MOTOR_MESSAGE, Survey, in_every
 
 MOTOR, SERVO = 101, 201
 """PX4's function numbers of its first motor and first servo."""
+CONTROLS_MESSAGE = "ACTUATOR_CONTROL_TARGET"
+_CLEARLY = 1.5
+"""Ratio of rates from which controls replace outputs: the outputs are nearer to the surfaces, and a link has them."""
 _DRIVERS = ("PWM_MAIN_FUNC", "PWM_AUX_FUNC", "HIL_ACT_FUNC", "SIM_GZ_SV_FUNC")
 _ROTORS, _SURFACES = 12, 8
 """``CA_ROTOR0`` to ``CA_ROTOR11`` and ``CA_SV_CS0`` to ``CA_SV_CS7``: as many as PX4's control allocation has."""
@@ -44,6 +50,7 @@ class Actuator:
     surfaces: tuple[int, ...] = ()  # its CA_SV_CSn_TYPE, likewise
     px4: int = 0  # PX4's function of its output, if it is no surface
     one_way: bool = False
+    control: int = 0  # its element of ``controls`` in PX4's logs
 
     def channel(self, number: int, one_way: bool) -> Channel:
         """Return an output as a share of full deflection."""
@@ -62,8 +69,30 @@ def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) 
     Raises
     ------
     TelemetryError
-        Outputs are mixed, or nothing names the output of an actuator: every airframe of PX4 has its own order.
+        No log has controls, and outputs are mixed or nothing names the output of an actuator: every airframe of PX4 has
+        its own order.
     """
+    # a VTOL's first controls are those of its rotors
+    asked = all(
+        survey.px4 and survey.onboard and not survey.is_vtol and CONTROLS_MESSAGE in survey.rate_hz
+        for survey in surveys
+    )
+    controls = {a.name: Channel(a.name, CONTROLS_MESSAGE, ("controls", a.control)) for a in actuators}
+    if asked and all(
+        survey.rate_hz[CONTROLS_MESSAGE] >= _CLEARLY * survey.rate_hz.get(MOTOR_MESSAGE, 0.0) for survey in surveys
+    ):
+        return controls
+    try:
+        return _output_channels(surveys, actuators)
+    except TelemetryError:
+        if not asked:
+            raise
+        return controls
+
+
+def _output_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) -> dict[str, Channel]:
+    if in_every(surveys, [MOTOR_MESSAGE]) is None:
+        raise TelemetryError(f"no servo outputs in every log; record {MOTOR_MESSAGE} at 50 Hz or more")
     completed = [_completed(survey) for survey in surveys]
     survey = next((found for found in completed if found.px4 and "CA_AIRFRAME" in found.parameters), completed[0])
     # A log of the outputs themselves also has unused ones, at the pulse of a disarmed output.

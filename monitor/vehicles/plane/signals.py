@@ -19,9 +19,9 @@ AIRSPEED = Channel("airspeed", _AIRSPEED_MESSAGE, ("airspeed",))
 # motors the left one.
 _ACTUATORS = (
     Actuator("aileron", 1, (4, 24), (15, 1, 2)),
-    Actuator("elevator", 2, (19,), (3,)),
-    Actuator("throttle", 3, (70, 73), px4=MOTOR, one_way=True),
-    Actuator("rudder", 4, (21,), (4,)),
+    Actuator("elevator", 2, (19,), (3,), control=1),
+    Actuator("throttle", 3, (70, 73), px4=MOTOR, one_way=True, control=4),
+    Actuator("rudder", 4, (21,), (4,), control=2),
 )
 
 MESSAGES = EFFECT_MESSAGES | {_AIRSPEED_MESSAGE, "SYS_STATUS"}

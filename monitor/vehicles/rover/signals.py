@@ -16,7 +16,10 @@ from monitor.vehicles.rover.transform import DriveInputs
 _VELOCITIES = {"LOCAL_POSITION_NED": 1.0, "GLOBAL_POSITION_INT": 0.01}
 
 # Functions of outputs as SRV_Channel.h of ArduPilot and PX4's rovers number them.
-_ACTUATORS = (Actuator("steering", 1, (26,), px4=SERVO), Actuator("throttle", 3, (70,), px4=MOTOR))
+_ACTUATORS = (
+    Actuator("steering", 1, (26,), px4=SERVO, control=2),
+    Actuator("throttle", 3, (70,), px4=MOTOR, control=4),
+)
 
 MESSAGES = EFFECT_MESSAGES | _VELOCITIES.keys()
 
