@@ -58,8 +58,13 @@ _TWICE_NUMBERED = (
     "its packets have two series of sequence numbers (or several links of the vehicle are merged into one: give each a "
     "port of its own)"
 )
-_BY_TURNS = "came more often than before, with the values of two senders alternating"
-_SENT_BEFORE = "repeats earlier values, one after the other: a recording is sent again"
+_FORGED = {
+    "turns": "came more often than before, with the values of two senders alternating",
+    "before": "repeats earlier values, one after the other: a recording is sent again",
+    "still": "has outputs that stand still while its others move",
+    "pace": "comes as often as before, but its stamps go on {pace:.2f} times as fast",
+}
+"""The sentences for the kinds of evidence in ``VehicleClock.found``."""
 _NUMBERED_NS = 10_000_000_000
 """How long a contradiction is reported after the last finding. Chosen: as long as clocks are contested
 (``core/sampling.pyx``)."""
@@ -354,7 +359,7 @@ class Pipeline:
         shelved_ns = self._desk.due_ns
         blind_ns = self._blind.due_ns(self._flies(), start_ns)
         clock = self._clock
-        until_ns = clock.contested_ns, *clock.splits.values(), *clock.repeats.values(), self._numbered_ns
+        until_ns = clock.contested_ns, *clock.found.values(), self._numbered_ns
         contested_ns = min((ns for ns in until_ns if start_ns < ns), default=flood_ns)
         if self._driven_ns is not None:
             contested_ns = min(contested_ns, self._driven_ns)
@@ -445,8 +450,9 @@ class Pipeline:
 
     def _contradict(self, now_ns: int) -> list[AlarmEvent]:
         """Follow the latest messages that show two senders; return the events that a change causes."""
-        before, split = self._forged, [(self._clock.splits, _BY_TURNS), (self._clock.repeats, _SENT_BEFORE)]
-        self._forged = {n: what for found, what in split for n, until in sorted(found.items()) if now_ns < until}
+        before, found = self._forged, sorted(self._clock.found.items())
+        texts = {what: text.format(pace=self._clock.pace) for what, text in _FORGED.items()}
+        self._forged = {name: texts[what] for (name, what), until_ns in found if now_ns < until_ns}
         certain = self._contradictions(now_ns)
         self.contradictions = [*certain, *[_TWICE_NUMBERED] * (now_ns < self._numbered_ns)]
         events = self._link.contradict(self.contradictions, now_ns, "critical" if certain else "warning")

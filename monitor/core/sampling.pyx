@@ -62,6 +62,7 @@ from libc.math cimport M_PI, NAN, atan2, cos, fmod, hypot, isfinite, rint, sin
 from libc.stdlib cimport qsort
 from libc.string cimport memcmp, memcpy, memmove, memset
 
+from monitor.core.altered cimport Pace, Stands
 from monitor.core.interleaved cimport Interleaved
 from monitor.core.repeats cimport SENSES, Repeats
 
@@ -258,10 +259,11 @@ cdef class VehicleClock:
         By how much the other sender's stamps were ahead when the contest began.
     flies : bool
         Whether the vehicle says that it is in flight: then its clock is not set and the vehicle not replaced.
-    splits : dict[str, int]
-        Messages whose values show two senders, with the Unix time until which each counts as such.
-    repeats : dict[str, int]
-        The same for messages whose values were sent before.
+    found : dict[tuple[str, str], int]
+        Until which Unix time a message, by its name, is taken to be another sender's, and by what: ``turns`` (values of
+        two senders), ``before`` (sent before, value by value), ``still`` (outputs beside others), ``pace`` (of stamps).
+    pace : float
+        How fast stamps went on when they last changed their pace, in times of that before.
     """
 
     cdef readonly int boot
@@ -269,7 +271,8 @@ cdef class VehicleClock:
     cdef readonly bint running
     cdef readonly nanoseconds contested_ns, rival_ns
     cdef public bint flies
-    cdef readonly dict splits, repeats
+    cdef readonly dict found
+    cdef readonly double pace
     cdef bint _has_candidate, _has_doubtful
     # The newest stamp of another clock and its arrival; since when such stamps go on; the number of findings and the
     # first one's time; whether near ones came after it, and of the next one's channel; the last arrivals of a near and
@@ -298,7 +301,7 @@ cdef class VehicleClock:
 
     def __cinit__(self):
         self._run = 1
-        self.splits, self.repeats = {}, {}
+        self.found = {}
 
     def near(self, stamp_ns):
         """Return whether a stamp is so close to the newest one that it is believed at once."""
@@ -474,11 +477,12 @@ cdef class VehicleClock:
                 self._began, self.rival_ns = True, ahead
             self.contested_ns = received + _CONTEST
 
-    cdef void part(self, dict found, name, nanoseconds received):
-        """Register that a message has two senders, or was sent before."""
-        if received >= found.get(name, 0):
-            self._began = True
-        found[name] = received + _CONTEST
+    cdef bint register(self, name, str what, nanoseconds received) except -1:
+        """Register by what a message shows another sender; return whether it did not so before."""
+        cdef bint begins = received >= self.found.get((name, what), 0)
+        self._began |= begins
+        self.found[name, what] = received + _CONTEST
+        return begins
 
     cdef bint _confirmed(self, nanoseconds stamp) noexcept:
         """Return whether the candidate before, which was far from the newest stamp too, is near this one."""
@@ -950,6 +954,8 @@ cdef class Stream:
     cdef list channels, lanes
     cdef Interleaved senders
     cdef Repeats before
+    cdef Pace pace
+    cdef Stands stands
     cdef int width
     cdef Scaling* scalings
     # Paths of the fields read: one for each channel; those that select messages, with the values asked; clocks, with
@@ -968,7 +974,8 @@ cdef class Stream:
     cdef int stills
     cdef double usual_stills
 
-    def __init__(self, group, nanoseconds max_gap, nanoseconds tick, bint raw, nanoseconds fitted, bint restless):
+    def __init__(self, group, nanoseconds max_gap, nanoseconds tick, bint raw, nanoseconds fitted, bint restless,
+                 bint commands):
         """Begin with ``group``, pairs of index in [u; y] and channel; ``fitted`` is their period in fitted flights."""
         cdef Lane lane = Lane.__new__(Lane, len(group), max_gap, tick, raw)
         cdef Column* column
@@ -997,6 +1004,8 @@ cdef class Stream:
         self.lanes = [lane]
         self.senders = Interleaved([channel.period or 0.0 for channel in self.channels])
         self.before = Repeats() if len(group) >= SENSES else None
+        stopped = [NAN if channel.stopped_as is None else channel.stopped_as for channel in self.channels]
+        self.pace, self.stands = Pace(), Stands(stopped) if commands else None
         channel = self.channel
         self.restless, self.newest = restless, <double*>_resized(NULL, self.width * sizeof(double))
         self.equal = [value for _, value in channel.where]
@@ -1165,8 +1174,10 @@ cdef class SamplerCore:
             # Fixes, heights and fields do repeat.
             turns = any([channel.period for _, channel in group]) and not group[0][1].at_least
             moves = restless and (turns or len(group) >= (SENSES if self._raw else 3))
-            moves = moves and not (idles and group[0][0] < self._inputs)
-            stream = Stream(group, round(max_gap_s * 1e9), round(1e9 / rate_hz), self._raw, fitted, moves)
+            commands = not self._raw and group[0][0] < self._inputs
+            moves = moves and not (idles and commands)
+            stream = Stream(
+                group, round(max_gap_s * 1e9), round(1e9 / rate_hz), self._raw, fitted, moves, moves and commands)
             self._streams.setdefault(name, []).append(stream)
         for streams in self._streams.values():
             for stream in streams:
@@ -1235,7 +1246,7 @@ cdef class SamplerCore:
         cdef Lane lane
         self._messages += 1
         if stream.before is not None and stream.before.take(received, row):
-            clock.part(clock.repeats, stream.channel.message, received)
+            clock.register(stream.channel.message, "before", received)
         if clockless and stream.channel.clock is None and clock.newest_ns > 0:
             stamp = clock.newest_ns
             for lane in stream.lanes:
@@ -1249,12 +1260,17 @@ cdef class SamplerCore:
             for lane in stream.lanes:
                 self._duplicates += lane.width
             if not clockless and stream.senders.take(stamp, received, row):
-                clock.part(clock.splits, stream.channel.message, received)
+                clock.register(stream.channel.message, "turns", received)
         elif clockless or self.believe(stream, stamp, received, row):
             self.follow_clock()
             self._restarting |= stream.compare(stamp, row)
             if not clockless and stream.senders.take(stamp, received, row):
-                clock.part(clock.splits, stream.channel.message, received)
+                clock.register(stream.channel.message, "turns", received)
+            if not clockless and stream.pace.take(stamp, received):
+                if clock.register(stream.channel.message, "pace", received):
+                    clock.pace = stream.pace.ratio
+            if stream.stands is not None and stream.stands.take(stamp, row, clock.flies):
+                clock.register(stream.channel.message, "still", received)
             self.store(stream, stamp, row)
             self.give_out()
         return 0
@@ -1303,6 +1319,7 @@ cdef class SamplerCore:
         for streams in self._streams.values():
             for stream in streams:
                 (<Stream>stream).senders.clear()
+                (<Stream>stream).pace = Pace()
         self._waiting = None
         self._newest = self._resumed = 0
         self._started = self._has_unix = False

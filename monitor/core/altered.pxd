@@ -1,0 +1,32 @@
+# cython: language_level=3
+"""What sampling uses of the watch for altered messages."""
+
+cdef enum:
+    # Limits of outputs that are remembered. Chosen: two at either end, in idle and in flight.
+    STOPS = 4
+
+
+cdef class Stands:
+    cdef int _width, _next_stop
+    cdef bint _flies
+    cdef double* _values
+    cdef double* _stopped
+    cdef long long* _since
+    cdef long long* _moved
+    cdef double[STOPS] _stops
+    cdef double _low, _high
+    cdef long long _longest
+
+    cdef bint take(self, long long stamp, const double* row, bint flies) noexcept
+    cdef bint is_limit(self, int which, double value) noexcept
+
+
+cdef class Pace:
+    cdef long long _first, _first_received, _last, _span
+    cdef int _steps, _changed
+    cdef double _usual, _usual_pace
+    # The latest mean period in usual ones.
+    cdef double ratio
+
+    cdef bint take(self, long long stamp, long long received) noexcept
+    cdef void begin(self, long long stamp, long long received) noexcept

@@ -1,0 +1,115 @@
+"""Outputs that stand still beside moving ones, and stamps of another pace, are another sender's; slow links are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from test_monitor_impostor import events_of
+
+from adapters.logs.recordings import read_recording
+from adapters.message import Message
+from monitor.event import AlarmEvent
+from monitor.profile import Profile, read_profile
+
+QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
+START_S, LENGTH_S = 12.0, 24.0
+UNITS = {"time_boot_ms": 1e3, "time_usec": 1e6}
+
+
+@pytest.fixture(scope="module")
+def profile() -> Profile:
+    return read_profile(QUAD)
+
+
+@pytest.fixture(scope="module")
+def flight(data: Path) -> list[Message]:
+    """Return seconds of a healthy flight."""
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    return [m for m in messages if m.received_ns - messages[0].received_ns < LENGTH_S * 1e9]
+
+
+def since_s(flight: list[Message], message: Message | AlarmEvent) -> float:
+    """Return the time since the attack began."""
+    at_ns = message.time_ns if isinstance(message, AlarmEvent) else message.received_ns
+    return (at_ns - flight[0].received_ns) / 1e9 - START_S
+
+
+def altered(flight: list[Message], change: Callable[[Message, float], Message]) -> list[Message]:
+    """Return messages of which those of the attack were changed, by themselves and their time in it."""
+    return [m if (s := since_s(flight, m)) < 0.0 else change(m, s) for m in flight]
+
+
+def stamped(message: Message, later_s: float) -> Message:
+    """Return a message with a later stamp."""
+    stamps = {n: message.fields[n] + round(later_s * u) for n, u in UNITS.items() if message.fields.get(n)}
+    return replace(message, fields={**message.fields, **stamps})
+
+
+def received(message: Message, later_s: float) -> Message:
+    return replace(message, received_ns=message.received_ns + round(later_s * 1e9))
+
+
+def raised(profile: Profile, messages: list[Message]) -> list[AlarmEvent]:
+    return [event for event in events_of(profile, messages) if event.state == "raised"]
+
+
+@pytest.mark.parametrize("pace", [0.9, 1.05])
+def test_stamps_that_go_on_at_another_pace_are_an_impostors(
+    profile: Profile, flight: list[Message], pace: float
+) -> None:
+    events = raised(profile, altered(flight, lambda m, s: stamped(m, (pace - 1.0) * s)))
+    impostor = next(event for event in events if event.channel == "impostor")
+    assert impostor.severity == "critical"
+    assert f"{pace:.2f} times as fast" in impostor.message
+    assert since_s(flight, impostor) < 4.5
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda m, s: received(m, 0.1 * s),
+        lambda m, s: received(m, s),
+        lambda m, s: received(m, max(0.0, 2.0 - 0.1 * s)),
+        lambda m, s: received(stamped(m, 0.1 * s), 0.1 * s),
+    ],
+    ids=["link_falls_behind", "simulation_at_half_speed", "link_catches_up", "lower_rate"],
+)
+def test_links_and_simulations_of_another_pace_are_no_impostors(
+    profile: Profile, flight: list[Message], change: Callable[[Message, float], Message]
+) -> None:
+    messages = sorted(altered(flight, change), key=lambda m: m.received_ns)
+    assert [event for event in events_of(profile, messages) if event.channel == "impostor"] == []
+
+
+def outputs(flight: list[Message], values: Callable[[float], dict[str, int]]) -> list[Message]:
+    """Return messages in which commands are others, by their time in the attack."""
+    return [
+        replace(m, fields={**m.fields, **values(since_s(flight, m))}) if m.name == "SERVO_OUTPUT_RAW" else m
+        for m in flight
+    ]
+
+
+def test_outputs_that_stand_still_beside_others_are_an_impostors(profile: Profile, flight: list[Message]) -> None:
+    held = {"servo1_raw": 1590, "servo2_raw": 1580}
+    events = raised(profile, outputs(flight, lambda s: held if s >= 0.0 else {}))
+    impostor = next(event for event in events if event.channel == "impostor")
+    assert "stand still" in impostor.message
+    assert since_s(flight, impostor) < 3.5
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        lambda s: {"servo1_raw": 1950} if s >= 0.0 else {},
+        lambda s: {"servo1_raw": 1150} if s >= 0.0 or -4.0 < s < -2.0 else {"servo2_raw": 1140} if s < -7.0 else {},
+        lambda s: {"servo1_raw": 1590} if 0.0 <= s % 4.0 < 2.5 else {},
+    ],
+    ids=["largest", "limit_of_before", "briefly"],
+)
+def test_outputs_at_a_limit_are_no_impostors(
+    profile: Profile, flight: list[Message], values: Callable[[float], dict[str, int]]
+) -> None:
+    assert "impostor" not in [event.channel for event in events_of(profile, outputs(flight, values))]
