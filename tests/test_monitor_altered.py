@@ -12,6 +12,7 @@ from test_monitor_impostor import events_of
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline
 from monitor.profile import Profile, read_profile
 
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
@@ -71,7 +72,7 @@ def test_stamps_that_go_on_at_another_pace_are_an_impostors(
     "change",
     [
         lambda m, s: received(m, 0.1 * s),
-        lambda m, s: received(m, s),
+        received,
         lambda m, s: received(m, max(0.0, 2.0 - 0.1 * s)),
         lambda m, s: received(stamped(m, 0.1 * s), 0.1 * s),
     ],
@@ -113,3 +114,33 @@ def test_outputs_at_a_limit_are_no_impostors(
     profile: Profile, flight: list[Message], values: Callable[[float], dict[str, int]]
 ) -> None:
     assert "impostor" not in [event.channel for event in events_of(profile, outputs(flight, values))]
+
+
+def landing(flight: list[Message], sinks_mm_s: float = 0.0, command: int | None = None) -> list[Message]:
+    """Return messages of a vehicle that reports that it lands, with the altitude of one that sinks, and commands."""
+
+    def change(message: Message, s: float) -> Message:
+        fields = dict(message.fields)
+        if message.name == "EXTENDED_SYS_STATE":
+            fields["landed_state"] = 4
+        if message.name == "GPS_RAW_INT":
+            fields["alt"] -= round(sinks_mm_s * s)
+        if message.name == "SERVO_OUTPUT_RAW" and command is not None:
+            fields |= {f"servo{k}_raw": command + k for k in range(1, 5)}
+        return replace(message, fields=fields)
+
+    return altered(flight, change)
+
+
+@pytest.mark.parametrize(
+    ("sinks_mm_s", "command", "watched"),
+    [(0.0, None, True), (400.0, None, False), (0.0, 1200, False)],
+    ids=["hovers", "sinks", "on_the_ground"],
+)
+def test_a_landing_vehicle_of_unknown_height_is_watched_while_it_hovers(
+    profile: Profile, flight: list[Message], sinks_mm_s: float, command: int | None, watched: bool
+) -> None:
+    pipeline = Pipeline(profile)
+    events_of(profile, landing(flight, sinks_mm_s, command), pipeline)
+    why = {name: one.why_not for name, one in pipeline.watching(flight[-1].received_ns).items()}
+    assert why == dict.fromkeys(why, None if watched else "on_ground")

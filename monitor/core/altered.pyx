@@ -25,7 +25,7 @@ cdef int MORE = 4
 # How long an output stands at what is a limit. Chosen: five times as long as outputs stand between their limits.
 cdef long long LIMIT = SECOND
 
-# Least change of a period that counts. Chosen: five times what a loop of 4 ms that keeps its period makes over a second.
+# Least change of a period that counts. Chosen: five times what a loop of 4 ms that keeps it makes over a second.
 cdef double LEAST = 0.02
 # Share of that change by which the pace may differ from it. Chosen: over 3 s and for a change of a tenth, 75 ms of
 # jitter.

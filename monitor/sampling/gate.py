@@ -84,6 +84,7 @@ class FlightGate:
         self._rule, self._commands = rule, commands and rule.airborne_command > 0.0
         self._settling = Settling(rule.settle_s)
         self._driven: int | None = None
+        self._command, self._commanded = 0.0, 0  # sum of the mean commands since they are looked at, and how many
         self._lifted = False  # whether a vehicle that reports that it flies has lifted off, and not come down since
         self._low_ns: int | None = None  # vehicle time since which its command is too small for flight; None: it is not
         self._reported_ns: int | None = None  # vehicle time since which it reports that; None where it does not
@@ -105,7 +106,12 @@ class FlightGate:
 
     def watch_commands(self) -> None:
         """Look from now on whether the commands are those of flight."""
-        self._driven = 0
+        self._driven, self._command, self._commanded = 0, 0.0, 0
+
+    @property
+    def hovers(self) -> bool:
+        """Whether the mean of the commands since :meth:`watch_commands` was that of hovering."""
+        return self._commanded > 0 and self._command / self._commanded >= _HOVERING * self._rule.airborne_command
 
     @property
     def driven(self) -> bool | None:
@@ -118,11 +124,14 @@ class FlightGate:
         rule, commands = self._rule, self._commands
         by_command = rule.require_airborne and phase.landed is None and commands
         self.by_command |= by_command
-        if self._driven is not None and self._driven >= 0 and commands:
-            flight = samples.u.mean(axis=1) >= rule.airborne_command
+        if self._driven is not None and commands:
             # A command that was lost is none that was low.
-            low = samples.measured & ~flight & np.isfinite(samples.u).all(axis=1)
-            self._driven = -1 if low.any() else self._driven + int(np.count_nonzero(samples.measured & flight))
+            sizes = samples.u[samples.measured & np.isfinite(samples.u).all(axis=1)].mean(axis=1).tolist()
+            for size in sizes:
+                self._command += size
+            self._commanded += len(sizes)
+            low = any(size < rule.airborne_command for size in sizes)
+            self._driven = -1 if low or self._driven < 0 else self._driven + len(sizes)
         lift = self._lift
         self.carried = lift is None or phase.carried in (None, lift.by)
         allowed, least = allows(rule, phase), rule.airborne_command if by_command else self._least

@@ -13,7 +13,9 @@ ground may raise an alarm too many, a vehicle that is not watched in the air may
 another vehicle, and a vehicle in the air does not take off: whoever reports that is another sender.
 
 A landing vehicle counts as in the air until it is near the ground, by its reported height above home: a descent takes
-as long as many a flight. A vehicle that does not report whether it flies is near the ground by that height, too.
+as long as many a flight. A vehicle that does not report whether it flies is near the ground by that height, too. Where
+no height comes, a landing vehicle sinks, by the altitude of its GPS: while it does not, and its motors run as in hover,
+it counts as in the air.
 
 Nobody else writes into a vehicle's own log, and it holds a report for each change: its reports are never contested.
 """
@@ -21,7 +23,7 @@ Nobody else writes into a vehicle's own log, and it holds a report for each chan
 from __future__ import annotations
 
 from itertools import pairwise
-from math import nan
+from math import inf, nan
 from typing import ClassVar, Literal, NamedTuple
 
 from adapters.mavlink.heartbeat import ARMED, is_autopilot_heartbeat
@@ -65,6 +67,9 @@ two of their diameters, and a height is off by this much after a long flight."""
 _AWAY_NS = 1_000_000_000
 """How long a report of a height other than home's counts. Chosen: heights come once a second at least, and a plane that
 touches down rolls for longer."""
+_SINKS_MM = 1000
+"""By how much a landing vehicle sinks within ``_SINKS_NS``, millimetres: autopilots land with 0.3 m/s and more."""
+_SINKS_NS = 5_000_000_000
 _MOST_REPORTS = 64
 """Most reports that are remembered. Chosen: at 6 Hz more than the time over which changes are counted; a flood needs no
 more memory."""
@@ -130,18 +135,24 @@ class FlightPhase:
     Samples of another vehicle than the one that the profile was ``fitted`` to are no evidence. ``reports`` is what the
     vehicle has told about itself; ``contradiction`` the sentence that shows that it is another one, None if nothing
     does; ``contested`` names the messages that two senders answer by turns. ``driven`` is set while the vehicle counts
-    as flying although it reports that it does not, because its commands are those of flight; ``logged`` if the reports
+    as flying although it reports that it does not, because its commands are those of flight; ``hovers`` while those of
+    a landing vehicle are the ones of hover, or not known yet; ``logged`` if the reports
     are those of its own log. ``carried`` is what carries a vehicle with rotors and wings by its own report, None
     without one. ``interests`` names the messages that are read.
     """
 
-    interests: ClassVar[frozenset[str]] = Reports.interests | {"EXTENDED_SYS_STATE", "GLOBAL_POSITION_INT"}
+    interests: ClassVar[frozenset[str]] = Reports.interests | {
+        "EXTENDED_SYS_STATE",
+        "GLOBAL_POSITION_INT",
+        "GPS_RAW_INT",
+    }
 
     def __init__(self, fitted: Identity | None = None) -> None:
         self._armed: bool | None = None
         self._landed: Landed | None = None
         self._has_been = (False, False)  # armed, in the air
         self.driven = False
+        self.hovers = False
         self.logged = False
         self.carried: Carried | None = None
         self.reports = Reports()
@@ -153,6 +164,9 @@ class FlightPhase:
         # the last message that reported another vehicle in flight, and its time
         self._other: tuple[str, int] = ("", -LATEST_NS)
         self._high_ns: int | None = None  # when it was last reported to be high; None: it is low, or unknown
+        self._height_ns: int | None = None  # when its height was last reported; None: not of late
+        # the GPS's last fix, when its altitude last was a metre below the highest since then, and this highest
+        self._fix_ns, self._sank_ns, self._highest_mm = -LATEST_NS, -LATEST_NS, -inf
         # when it was reported to be at about the height of its home, by all reports of the last second; None otherwise
         self._low_ns: int | None = None
         self._away_ns: int | None = None  # when it was last reported to be at another height
@@ -161,7 +175,18 @@ class FlightPhase:
     def airborne(self) -> bool | None:
         """Whether it flies: in the air, or landing and still high; None if the vehicle does not report it."""
         landed = self.landed
-        return None if landed is None else landed == "air" or (landed == "landing" and self._high_ns is not None)
+        return None if landed is None else landed == "air" or (landed == "landing" and self._stays_up)
+
+    @property
+    def level(self) -> bool:
+        """Whether it lands, at an unknown height, and does not sink."""
+        lands = self._landed == "landing" and self._height_ns is None
+        return lands and self._fix_ns > -LATEST_NS and self._fix_ns - self._sank_ns >= _SINKS_NS
+
+    @property
+    def _stays_up(self) -> bool:
+        """Whether a landing vehicle is still high, or does not sink and hovers."""
+        return self._high_ns is not None or (self.level and self.hovers)
 
     @property
     def near_home(self) -> bool:
@@ -186,8 +211,8 @@ class FlightPhase:
     @property
     def state(self) -> tuple[object, ...]:
         """The part of the state that decides something now; the rest may change without a consequence."""
-        landing_high = self._landed == "landing" and self._high_ns is not None
-        flies = self._armed, self._landed, landing_high, self.near_home, self.carried
+        lands = self._landed == "landing"
+        flies = self._armed, self._landed, lands and self._stays_up, lands and self.level, self.near_home, self.carried
         return *flies, self.reports, self.contradiction, self.contested
 
     def copy(self) -> FlightPhase:
@@ -205,12 +230,16 @@ class FlightPhase:
         if message.name == "GLOBAL_POSITION_INT":
             height = message.fields.get("relative_alt")
             above_mm = height if message.source is MAVLINK and isinstance(height, int | float) else nan
+            self._height_ns = now_ns
             self._high_ns = now_ns if above_mm > _HIGH_MM else None
             if abs(above_mm) > _HIGH_MM:
                 self._away_ns = now_ns
             # A forged height of home among true heights must not end the watch.
             was_away = self._away_ns is not None and 0 <= now_ns - self._away_ns < _AWAY_NS
             self._low_ns = now_ns if abs(above_mm) <= _HIGH_MM and not was_away else None
+            return
+        if message.name == "GPS_RAW_INT":
+            self._follow_altitude(message)
             return
         is_heartbeat = is_autopilot_heartbeat(message)
         if is_heartbeat:
@@ -225,12 +254,16 @@ class FlightPhase:
         if message.name == "EXTENDED_SYS_STATE":
             state, on = message.fields.get("landed_state"), message.fields.get("vtol_state")
             landed = _LANDED.get(state) if isinstance(state, int) else None
+            self.hovers |= (self._landed, landed) == ("air", "landing")
             self._landed = "air" if (self._landed, landed) == ("air", "takeoff") else landed
             self.carried = _CARRIED.get(on) if isinstance(on, int) else None
             if not self.logged:
                 self._landings = self._landings.after(now_ns, self._landed)
-            if self._high_ns is not None and not 0 <= now_ns - self._high_ns < _RECENT_NS:
-                self._high_ns = None
+            if self._height_ns is not None and not 0 <= now_ns - self._height_ns < _RECENT_NS:
+                self._high_ns = self._height_ns = None
+            if not 0 <= now_ns - self._fix_ns < _RECENT_NS:
+                self._fix_ns = -LATEST_NS
+            self.hovers &= self.level
             if self._landings.contested and "air" in self._landings.recent():
                 self._landed = "air"
         elif is_heartbeat and isinstance(mode, int):
@@ -244,6 +277,17 @@ class FlightPhase:
         contested = {name for name, said in contests.items() if said.contested}
         other, other_ns = self._other
         self.contested = tuple(sorted(contested | {other} if 0 <= now_ns - other_ns < _WINDOW_NS else contested))
+
+    def _follow_altitude(self, message: Message) -> None:
+        """Follow by the GPS's altitude whether the vehicle sinks."""
+        altitude = message.fields.get("alt")
+        if message.source is not MAVLINK or not isinstance(altitude, int | float) or message.fields.get("fix_type", 3) < 3:
+            return
+        self._fix_ns = message.received_ns
+        if altitude <= self._highest_mm - _SINKS_MM:
+            self._sank_ns, self._highest_mm = message.received_ns, altitude
+        self._highest_mm = max(self._highest_mm, altitude)
+        self.hovers &= self.level
 
     def _identify(self, message: Message) -> None:
         """Follow what a message tells about the vehicle's identity."""
