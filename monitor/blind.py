@@ -287,11 +287,21 @@ class BlindAlarm:
         for flow in self.flows:
             flow.wait_from(now_ns)
 
-    def process(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> list[AlarmEvent]:
+    def process(
+        self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool, *, recorded: bool = True
+    ) -> list[AlarmEvent]:
         """Advance the Unix time to ``now_ns``; return the events that this causes.
 
-        ``flying`` is whether evidence is expected, ``contested`` whether the telemetry contradicts itself.
+        ``flying`` is whether evidence is expected, ``contested`` whether the telemetry contradicts itself. What is not
+        ``recorded`` unless it causes an event (passing time) leaves no trace otherwise: a replay does not have it.
         """
+        before = self._slot
+        events = self._look(now_ns, vehicle_ns, flying, contested)
+        if not (events or recorded):
+            self._slot = before
+        return events
+
+    def _look(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> list[AlarmEvent]:
         if not self._started:
             self._started = True
             self.wait_from(now_ns)

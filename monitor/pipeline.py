@@ -508,7 +508,8 @@ class Pipeline:
         if message.source is MAVLINK:
             return self._through_desk([*self._link.quiet(now_ns), *self._command(message)])
         if message.source is CLOCK:
-            events = [*self._close_at_landing(now_ns), *self._silence(now_ns), *self._link.quiet(now_ns)]
+            events = [*self._close_at_landing(now_ns), *self._silence(now_ns, recorded=False)]
+            events += self._link.quiet(now_ns)
             return self._through_desk(events)
         if message.source is LINK:
             events = self._link.process(message, self._clock.newest_ns)
@@ -546,7 +547,7 @@ class Pipeline:
         why = "cleared at landing: whether the fault is gone is not known"
         return [event for chain in self._chains for event in chain.close(now_ns, self._clock.newest_ns, why)]
 
-    def _silence(self, now_ns: int) -> list[AlarmEvent]:
+    def _silence(self, now_ns: int, *, recorded: bool = True) -> list[AlarmEvent]:
         """Advance the time to ``now_ns``, with or without a message: the same live and in a replay."""
         # A vehicle's own log pauses between two flights.
         paused = self._phase.logged and not self._flies() and self._stale.due(now_ns)
@@ -556,7 +557,7 @@ class Pipeline:
         if paused or self._stale.active:
             self._link.silent()
             self._blind.pause(now_ns)
-        return events + self._blind.process(now_ns, self._clock.newest_ns, *self._flight())
+        return events + self._blind.process(now_ns, self._clock.newest_ns, *self._flight(), recorded=recorded)
 
     def _through_desk(self, events: Iterable[AlarmEvent]) -> list[AlarmEvent]:
         return [published for event in events for published in self._desk.process(event)]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,9 +17,11 @@ from adapters.message import Message, silence
 from monitor.blind import LIMIT_NS, EvidenceFlow
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, handover_message
-from monitor.profile import Profile
+from monitor.profile import Profile, read_profile
 from monitor.sampling.transform import LiftRule
 from replay.player import play
+
+QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 
 
 @pytest.fixture(scope="module")
@@ -174,3 +178,27 @@ def test_an_observer_so_slow_that_it_has_no_sample_yet_is_waited_for(rate_hz: fl
     flow.receive("VIBRATION", 2**60, 2**60)
     assert flow.awaits(2**60 + round(1e9 * granted_s) - 1)
     assert not flow.awaits(2**60 + round(1e9 * granted_s))
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_passing_time_that_causes_no_event_leaves_no_trace(flight: list[Message], seed: int) -> None:
+    profile, rng, start_ns = read_profile(QUAD), random.Random(seed), flight[0].received_ns
+    names = "GPS_RAW_INT", "ATTITUDE", "HIGHRES_IMU", "SERVO_OUTPUT_RAW"
+    share, period_s = rng.choice([0.5, 0.7, 0.8, 0.9]), rng.choice([0.4, 0.5, 1.0, 1.5])
+    kept = [m for m in flight if (s := (m.received_ns - start_ns) / 1e9) < 9.0 or s % period_s >= share * period_s]
+    for name in names:
+        kept = without(kept, [name], begin_s := rng.uniform(9.0, 18.0), begin_s + rng.uniform(2.0, 8.0))
+    pipeline, waiting = Pipeline(profile), list[Message]()
+    recorded, events = list[Message](), list[AlarmEvent]()
+    for before, message in pairwise(kept):
+        waiting.append(before)
+        for now_ns in range(before.received_ns + 10**8, message.received_ns - 10**7, rng.randint(2, 6) * 10**7):
+            events += events_of(profile, waiting, pipeline)
+            recorded += waiting
+            waiting = []
+            if caused := events_of(profile, [silence(now_ns)], pipeline):
+                events += caused
+                recorded.append(silence(now_ns))
+    events += events_of(profile, waiting, pipeline)
+    assert events_of(profile, [*recorded, *waiting]) == events
+    assert "blind" in [event.channel for event in events]

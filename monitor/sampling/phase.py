@@ -70,6 +70,8 @@ touches down rolls for longer."""
 _SINKS_MM = 1000
 """By how much a landing vehicle sinks within ``_SINKS_NS``, millimetres: autopilots land with 0.3 m/s and more."""
 _SINKS_NS = 5_000_000_000
+_NO_ALTITUDE = 0, 1, 2
+"""Types of a GPS's fix without an altitude."""
 _MOST_REPORTS = 64
 """Most reports that are remembered. Chosen: at 6 Hz more than the time over which changes are counted; a flood needs no
 more memory."""
@@ -281,7 +283,11 @@ class FlightPhase:
     def _follow_altitude(self, message: Message) -> None:
         """Follow by the GPS's altitude whether the vehicle sinks."""
         altitude = message.fields.get("alt")
-        if message.source is not MAVLINK or not isinstance(altitude, int | float) or message.fields.get("fix_type", 3) < 3:
+        if (
+            message.source is not MAVLINK
+            or not isinstance(altitude, int | float)
+            or message.fields.get("fix_type", 3) < 3
+        ):
             return
         self._fix_ns = message.received_ns
         if altitude <= self._highest_mm - _SINKS_MM:
