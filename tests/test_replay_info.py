@@ -279,9 +279,11 @@ def test_what_a_corrected_imu_hides_is_said_and_a_raw_one_preferred(
     path = log_of(tmp_path / "corrected.mcap", px4_link("HIGHRES_IMU"))
     inertial = ask(capsys, path)["vehicle"]["fits"]["inertial"]
     assert inertial["channels"]["xgyro"] == "HIGHRES_IMU.xgyro"
-    assert inertial["hides"].startswith("HIGHRES_IMU: less the bias that the autopilot's estimator has learned")
+    assert inertial["hides"].startswith(
+        "HIGHRES_IMU: the autopilot subtracts that the autopilot's estimator has learned"
+    )
     text = told(capsys, path)
-    assert "hides some: HIGHRES_IMU: less the bias" in text
+    assert "hides some: HIGHRES_IMU: the autopilot subtracts" in text
     assert "SCALED_IMU is raw" in text
     raw = log_of(tmp_path / "raw.mcap", px4_link("HIGHRES_IMU", "SCALED_IMU"))
     inertial = ask(capsys, raw)["vehicle"]["fits"]["inertial"]

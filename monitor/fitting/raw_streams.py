@@ -10,10 +10,10 @@ from monitor.fitting.survey import Survey
 _RATES = frozenset({"rollspeed", "pitchspeed", "yawspeed"})
 _IMU = frozenset({"xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc"})
 
-_BIAS = "{messages}: less the bias that the autopilot's estimator has learned, so slow faults of a sensor fade from it"
+_BIAS = "{messages}: the autopilot subtracts the bias that its estimator has learned, so slow sensor faults fade"
 # Measured on PX4 (main of 2026-08) in its simulator.
-_GYROS = "; within 2 s PX4 takes off four fifths of .05 rad/s"
-_ACCELEROMETERS = ", two thirds of .5 m/s^2"
+_GYROS = "; within 2 s PX4 subtracts four fifths of 0.05 rad/s"
+_ACCELEROMETERS = ", two thirds of 0.5 m/s^2"
 _RAW_LINK = ". SCALED_IMU is raw (mavlink stream -s SCALED_IMU -r 50), and so is HIGHRES_IMU of the vehicle's log"
 
 
