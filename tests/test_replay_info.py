@@ -279,9 +279,7 @@ def test_what_a_corrected_imu_hides_is_said_and_a_raw_one_preferred(
     path = log_of(tmp_path / "corrected.mcap", px4_link("HIGHRES_IMU"))
     inertial = ask(capsys, path)["vehicle"]["fits"]["inertial"]
     assert inertial["channels"]["xgyro"] == "HIGHRES_IMU.xgyro"
-    assert inertial["hides"].startswith(
-        "HIGHRES_IMU: the autopilot subtracts that the autopilot's estimator has learned"
-    )
+    assert inertial["hides"].startswith("HIGHRES_IMU: the autopilot subtracts the bias")
     text = told(capsys, path)
     assert "hides some: HIGHRES_IMU: the autopilot subtracts" in text
     assert "SCALED_IMU is raw" in text
@@ -356,7 +354,7 @@ def test_an_onboard_log_says_its_inputs_frame_and_the_kind_of_its_sensors(
     )
     assert fits["multirotor"]["watches"][:4] == ["motor1", "motor2", "motor3", "motor4"]
     assert fits["multirotor"]["facts"][0].startswith("frame: 4 rotors as the parameters place them")
-    assert fits["multirotor"]["hides"].startswith("ATTITUDE: less the bias")
+    assert fits["multirotor"]["hides"].startswith("ATTITUDE: the autopilot subtracts the bias")
     assert fits["inertial"]["hides"] is None
     assert "vehicle_magnetometer at 10 Hz: it comes at 2 Hz" in fits["inertial"]["missing"][-1]
     assert found["systems"][0]["armed_s"] == pytest.approx(3.98, abs=0.05)
