@@ -166,7 +166,7 @@ def test_what_is_found_does_not_depend_on_how_the_file_is_read(
 
 @pytest.mark.parametrize("content", [b"\x00", b"not a log at all, just text" * 100, bytes(5000), b"\xfd" * 5000])
 def test_a_file_without_any_packet_is_reported_by_name(tmp_path: Path, content: bytes) -> None:
-    with pytest.raises(TelemetryError, match=r"a.tlog: holds no MAVLink packet; is it a telemetry log\?"):
+    with pytest.raises(TelemetryError, match=r"a.tlog: holds no MAVLink 1 or 2 packet; is it a telemetry log\?"):
         read(tmp_path, content)
 
 

@@ -58,7 +58,7 @@ def test_two_processes_find_what_one_finds(flights: Path, tmp_path: Path, capsys
     assert one_said.out == two_said.out
     assert without_progress(one_said.err) == without_progress(two_said.err)
     assert one_status == two_status == 2
-    assert "copter_garbage.tlog: holds no MAVLink packet" in one_said.err
+    assert "copter_garbage.tlog: holds no MAVLink 1 or 2 packet" in one_said.err
     assert without_progress(one_said.err).count("\n") == 1
     logs = [f"{flights}/{name}.tlog.xz" for name in FLIGHTS]
     assert list(dict.fromkeys(event["log"] for event in one)) == logs

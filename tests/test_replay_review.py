@@ -88,7 +88,9 @@ def between(start: float, end: float, inside: float, outside: float) -> Callable
 LANDED_THERE = Flight(height=fallen, motors=stopped, landed=lambda at: not 3.0 <= at < FALLS_S - 0.1)
 CASES: dict[str, Flight] = {
     "motors_stopped_in_air": Flight(height=fallen, motors=stopped, killed=lambda at: at >= FALLS_S - 0.1),
-    "motor_command_stopped": Flight(motors=one_motor(2, 0.0, 30.0, 33.0)),
+    "motor_command_stopped": Flight(
+        motors=one_motor(2, 0.0, 30.0, 33.0), yaw_deg=lambda at: 50.0 * min(max(at - 30.0, 0.0), 3.0)
+    ),
     "motor_at_limit": Flight(motors=one_motor(3, 0.95, 30.0, 32.0)),
     "esc_stopped": Flight(rpm=speeds(4)),
     "battery_low": Flight(volts=lambda at: 15.4 - 0.07 * at),
@@ -220,8 +222,9 @@ def test_every_finding_has_a_flight_that_shows_it() -> None:
         (between(30.0, 40.0, -7.0, 0.0), True),
         (between(30.0, 30.9, 60.0, 0.0), False),
         (between(30.0, 40.0, 8.0, 0.0), False),
+        (lambda at: 99.0 * 20.0 * at, False),
     ],
-    ids=["an attack", "a change of lane", "the other lane"],
+    ids=["an attack", "a change of lane", "the other lane", "centimetres"],
 )
 def test_a_position_altered_behind_the_estimator_is_first(
     altered_m: Callable[[float], float], found: bool, tmp_path: Path
@@ -708,6 +711,26 @@ def test_the_oldest_versions_say_height_throttle_and_what_is_wanted_under_other_
     assert sorted(names(rules_on(path))) == sorted(found)
 
 
+def test_a_submarine_is_judged_while_armed_and_needs_no_fix(tmp_path: Path) -> None:
+    log = DataflashWriter()
+    log.define("MSG", "QZ", "TimeUS,Message")
+    log.define("EV", "QB", "TimeUS,Id")
+    log.define("PARM", "QNf", "TimeUS,Name,Value")
+    log.define("BAT", "Qff", "TimeUS,Volt,Curr")
+    log.define("GPS", "QBB", "TimeUS,Status,NSats")
+    log.add("MSG", 0, "ArduSub V4.1.2")
+    log.add("PARM", 0, "BAT1_N_CELLS", 4.0)
+    log.add("EV", 5_000_000, 10)
+    for second in range(60):
+        log.add("BAT", 1_000_000 * second, 16.0 - 4.0 * (second >= 30), 9.0)
+        log.add("GPS", 1_000_000 * second, 3 * (second < 20), 9)
+    path = tmp_path / "sub.bin"
+    path.write_bytes(log.data)
+    review = rules_on(path)
+    assert names(review) == ["battery_low"]
+    assert review.unjudged["GPS fix lost in flight"] == "receivers have no fix under water"
+
+
 def test_old_versions_log_hundredths_of_volts(tmp_path: Path) -> None:
     log = DataflashWriter()
     log.define("MSG", "QZ", "TimeUS,Message")
@@ -756,10 +779,26 @@ def test_on_the_ground_with_idle_motors_nothing_is_judged(tmp_path: Path) -> Non
     assert names(review) == []
 
 
-def test_a_guessed_number_of_cells_is_no_finding(tmp_path: Path) -> None:
-    review = rules_on(px4_log(tmp_path / "flight.ulg", replace(CASES["battery_low"], parameters={})))
+@pytest.mark.parametrize("parameters", [{}, {"BAT1_N_CELLS": 6}], ids=["guessed", "contradicted by its voltage"])
+def test_an_unsure_number_of_cells_is_no_finding(parameters: dict[str, float], tmp_path: Path) -> None:
+    review = rules_on(px4_log(tmp_path / "flight.ulg", replace(CASES["battery_low"], parameters=parameters)))
     assert [one.rule.name for one in review.findings] == ["battery_low"]
+    assert "for each of 4 cells" in review.findings[0].judgement.text
     assert not review.wrong
+
+
+@pytest.mark.parametrize(
+    "flight",
+    [
+        Flight(motors=one_motor(2, 0.0, 30.0, 33.0)),
+        Flight(motors=lambda at: [0.02, 0.05, 0.2, 0.1 + 0.02 * (at % 2)], height=lambda at: 0.3 * (at > 10.0)),
+    ],
+    ids=["still, with a stopped motor", "idle motors below a metre"],
+)
+def test_a_multirotor_that_nothing_carries_stands_on_the_ground(flight: Flight, tmp_path: Path) -> None:
+    review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
+    assert review.facts.flight == ()
+    assert review.sentence.startswith("The log shows no flight")
 
 
 @pytest.mark.parametrize(

@@ -85,4 +85,4 @@ class TlogReader:
         if not scanner.intact + scanner.unknown:
             if self._path.stat().st_size == 0:
                 raise TelemetryError(f"{self._path}: is empty; was the recording started, or the copy finished?")
-            raise TelemetryError(f"{self._path}: holds no MAVLink packet; is it a telemetry log?")
+            raise TelemetryError(f"{self._path}: holds no MAVLink 1 or 2 packet; is it a telemetry log?")

@@ -14,6 +14,7 @@ from monitor.vehicles.multirotor.frames import MOTOR_FUNCTIONS
 from replay.review.facts.log_facts import (
     ANGLES,
     NO_SIGNAL,
+    SUBMARINE,
     UNKNOWN_LEVEL,
     LogFacts,
     LogRecords,
@@ -48,7 +49,7 @@ _SUBSYSTEMS = {
 _NO_FAILSAFE = frozenset({10, 13, 20, 22, 23})
 """Subsystems of errors about a refused mode, a flip, other aircraft, navigation and terrain: they tell nothing about
 the vehicle's health."""
-_VEHICLES = {"Copter": ("multirotor", 2), "Plane": ("plane", 1), "Rover": ("rover", 10)}
+_VEHICLES = {"Copter": ("multirotor", 2), "Plane": ("plane", 1), "Rover": ("rover", 10), "ArduSub": (SUBMARINE, 12)}
 """By a word in the log's first texts: the kind of vehicle, and a MAV_TYPE with its modes."""
 _PWM_FROM, _PWM_TO = 1000.0, 2000.0
 """Defaults of MOT_PWM_MIN and MOT_PWM_MAX, for logs without them."""
@@ -92,7 +93,7 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     signals["throttle"] = first_known(motors, _throttle(records))
     kalman = "XKF" if ("XKF4", 0) in set(records.names()) else "NKF"
     signals["height_estimate"] = get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0).above_begin()
-    signals["position_apart"] = _position_apart(records, kalman, texts)
+    signals["position_apart"] = _position_apart(records, kalman)
     # planes do not log their take-off
     received = get("GPS", ["Alt"], ["receiver"], "m").above_begin()
     lifted = off_ground(armed, signals["height"], received)
@@ -178,10 +179,11 @@ _MOST_SHARE = 2.0
 """A share of full command is always smaller, and a flight's throttle in thousandths always larger."""
 
 
-def _position_apart(records: LogRecords, kalman: str, texts: Sequence[tuple[float, str]]) -> LogSignal:
+def _position_apart(records: LogRecords, kalman: str) -> LogSignal:
     """Return the distance of the controller's position from the nearest position that a lane estimates.
 
-    Before 4.0 ArduPilot logged the controller's position in centimetres under the same name.
+    Before 4.0, and in Rover 4.7, the controller's position is in centimetres: its unit is the one that fits the
+    estimate better over the log.
     """
     north, east = (
         first_known(*(records.signal(name, [field], ["apart"], "m") for name, field in known))
@@ -189,11 +191,12 @@ def _position_apart(records: LogRecords, kalman: str, texts: Sequence[tuple[floa
     )
     lanes = [records.signal(f"{kalman}1{k}", ["PN", "PE"], ["north", "east"], "m") for k in ("", "/1", "/2")]
     times = north.time_s
-    if not (east and any(lanes)) or any(" V3." in text for _, text in texts):
+    if not (east and any(lanes)):
         return NO_SIGNAL
     flown = np.stack([north.only, np.interp(times, east.time_s, east.only)])
     estimated = [[np.interp(times, lane.time_s, axis) for axis in lane.values.T] for lane in lanes if lane]
-    apart = np.min([np.hypot(*(flown - lane)) for lane in estimated], axis=0)
+    by_unit = (np.min([np.hypot(*(unit * flown - lane)) for lane in estimated], axis=0) for unit in (1.0, 0.01))
+    apart = min(by_unit, key=np.median)
     return replace(north, values=apart[:, None], origin=f"{north.origin} against {kalman}1")
 
 

@@ -22,6 +22,7 @@ Changes = Sequence[tuple[float, float]]
 Spans = Sequence[tuple[float, float]]
 """Begins and ends of a state, in order."""
 ANGLES = ("roll", "pitch", "yaw")
+SUBMARINE = "submarine"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +169,7 @@ class LogFacts:
     @property
     def flies(self) -> bool:
         """Whether a vehicle of its kind leaves the ground."""
-        return all(kind.flies for kind in KINDS if kind.name == self.vehicle)
+        return self.vehicle != SUBMARINE and all(kind.flies for kind in KINDS if kind.name == self.vehicle)
 
     def in_flight(self, time_s: Floats) -> NDArray[np.bool_]:
         """Return which of n times are in flight (n,)."""
@@ -256,10 +257,19 @@ def off_ground(armed: Spans, height: LogSignal, receiver: LogSignal = NO_SIGNAL)
 def flown(facts: LogFacts) -> list[tuple[float, float]]:
     """Return the parts of a flight in which the vehicle did not stand on the ground, whatever the log states."""
     flight = list(facts.flight)
-    for standing in (_idle(facts.signal("motors")), _unmoved(facts)):
+    for standing in (_idle(facts.signal("motors")), list(_unmoved(facts))):
         edges = [(-np.inf, 1.0), *(edge for start, end in standing for edge in ((start, 0.0), (end, 1.0)))]
         flight = overlap(flight, state_spans(edges, np.inf))
-    return [(start, end) for start, end in flight if end - start >= _HOP_S]
+    return [(start, end) for start, end in flight if end - start >= _HOP_S and _carried(facts, start, end)]
+
+
+def _carried(facts: LogFacts, start_s: float, end_s: float) -> bool:
+    """Return whether the motors of a multirotor may have carried it: above idle half of the time, or it rose."""
+    motors = facts.signal("motors").during(start_s, end_s)
+    height = facts.signal("height").during(start_s, end_s).only
+    if len(motors.names) < _FEWEST_ROTORS or not motors or not len(height):
+        return True
+    return bool(np.median(motors.values.mean(axis=1)) > _IDLE_COMMAND or np.ptp(height) > _LIFTED)
 
 
 def _idle(motors: LogSignal) -> list[tuple[float, float]]:
@@ -270,18 +280,36 @@ def _idle(motors: LogSignal) -> list[tuple[float, float]]:
     return spans_where(motors.time_s, idle, _STANDS_S)
 
 
-def _unmoved(facts: LogFacts) -> list[tuple[float, float]]:
-    """Return when a vehicle had to turn far and did not turn at all, which happens only on the ground."""
-    attitude, wanted = facts.signal("attitude"), facts.signal("attitude_wanted")
+def _unmoved(facts: LogFacts) -> Iterator[tuple[float, float]]:
+    """Yield when a vehicle did not turn at all although it had to, which happens only on the ground.
+
+    Either an attitude far away was wanted, or one of four motors was stopped. A stopped motor is a test on the ground:
+    it includes the time before and after in which the attitude stays the same.
+    """
+    attitude, wanted, motors = (facts.signal(name) for name in ("attitude", "attitude_wanted", "motors"))
     # windows of samples instead of a grid of times: one damaged stamp would make the grid endless
     samples, every = round(_STANDS_S / _STEP_S), max(1, round(_STEP_S * attitude.rate_hz))
-    if not wanted or len(attitude.time_s) < samples * every:
-        return []
-    times, angles = attitude.time_s[::every], attitude.values[::every, :2]
-    still = np.ptp(sliding_window_view(angles, samples, axis=0), axis=-1) < _STILL_DEG
-    asked = degrees_apart(wanted.at(times)[:, :2], angles).max(axis=1)
-    apart = sliding_window_view(asked, samples).min(axis=-1) > _ASKED_DEG
-    return spans_where(times, np.convolve(still.all(axis=1) & apart, np.ones(samples)) > 0.5)
+    if len(attitude.time_s) < samples * every:
+        return
+    times, angles = attitude.time_s[::every], np.unwrap(attitude.values[::every], period=360.0, axis=0)
+    # a vehicle that lost a rotor may keep roll and pitch, but spins
+    still = (np.ptp(sliding_window_view(angles, samples, axis=0), axis=-1) < _STILL_DEG).all(axis=1)
+
+    def spans(must: NDArray[np.bool_]) -> list[tuple[float, float]]:
+        stands = still & sliding_window_view(must, samples).all(axis=-1)
+        return spans_where(times, np.convolve(stands, np.ones(samples)) > 0.5)
+
+    if wanted:
+        yield from spans(degrees_apart(wanted.at(times)[:, :2], angles[:, :2]).max(axis=1) > _ASKED_DEG)
+    if len(motors.names) == _QUAD:
+        commands = motors.at(times)
+        for start, end in spans((commands.min(axis=1) < _STOPPED) & (commands.max(axis=1) > _IDLE_COMMAND)):
+            within = (times >= start) & (times <= end)
+            away = times[(np.abs(angles - angles[within].mean(axis=0))[:, :2] > _STILL_DEG).any(axis=1) & ~within]
+            yield (
+                float(np.max(away[away < start], initial=times[0])),
+                float(np.min(away[away > end], initial=times[-1])),
+            )
 
 
 def degrees_apart(first: Floats, second: Floats) -> Floats:
@@ -415,6 +443,9 @@ _APART_NS = 86_400_000_000_000
 a clock that was set, or of another day's recording in the same file."""
 _FEWEST_ROTORS = 3
 """Fewest rotors of a multirotor: fewer outputs that are equal prove nothing."""
+_QUAD, _STOPPED = 4, 0.02
+"""Rotors of which none can be spared, and the largest command of a stopped one, of full command: motors idle at 0.05
+and more."""
 _ALIKE = 0.005
 """Largest difference of equal commands, of full command: half a step of 8 bits. The controllers' demands make the
 commands differ while the motors carry a vehicle."""

@@ -14,6 +14,7 @@ from replay.review.facts.ardupilot import output_commands
 from replay.review.facts.log_facts import (
     ANGLES,
     BEGIN_S,
+    SUBMARINE,
     LogFacts,
     LogRecords,
     LogSignal,
@@ -36,7 +37,7 @@ TOPICS = frozenset(
 # MAV_TYPE, MAV_AUTOPILOT, MAV_MODE_FLAG and MAV_LANDED_STATE of MAVLink's common definitions
 _ROTORS = {2: 4, 13: 6, 14: 8, 29: 12}
 _NO_AUTOPILOT, _ARMED, _ON_GROUND = 8, 128, 1
-_KINDS = {1: "plane", 10: "rover", 11: "rover", 12: "submarine"}
+_KINDS = {1: "plane", 10: "rover", 11: "rover", 12: SUBMARINE}
 _KINDS |= dict.fromkeys(range(19, 26), "VTOL")
 """Kinds by MAV_TYPE, except multirotors: fixed wing, ground rover, boat, submarine, and vehicles that change between
 two kinds."""

@@ -9,7 +9,10 @@ from adapters.errors import TelemetryError
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, onboard_source
 from replay.review.facts import ardupilot, mavlink, px4
-from replay.review.facts.log_facts import LogFacts, LogRecords, flown
+from replay.review.facts.log_facts import SUBMARINE, LogFacts, LogRecords, flown
+
+_ABOVE = ("gps", "position")
+"""Signals of a receiver, which tell nothing of a submarine."""
 
 
 def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
@@ -30,9 +33,11 @@ def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
     if not any(True for _ in records.names()):
         raise TelemetryError(f"{path}: holds no telemetry of a flight; give a log of a flight")
     said = translate(records)
+    dives = said.vehicle == SUBMARINE
     facts = replace(
         said,
-        signals={name: signal for name, signal in said.signals.items() if signal},
+        signals={name: signal for name, signal in said.signals.items() if signal and not (dives and name in _ABOVE)},
+        lacks={**said.lacks, **dict.fromkeys(_ABOVE if dives else (), "receivers have no fix under water")},
         statements=tuple(sorted(said.statements, key=lambda statement: statement.time_s)),
         commands=tuple(sorted(said.commands, key=lambda command: command.time_s)),
     )

@@ -38,8 +38,8 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, throttle: Lo
         name = attitude.names[axis]
         origins = " and ".join(dict.fromkeys((attitude.origin, wanted.origin)))
         about = motors.during(start - 1.0, start + 1.0)
-        peaks = np.nanmax(about.values, axis=0, initial=0.0)
-        full = [motor for motor, peak in zip(motors.names, peaks.tolist(), strict=True) if peak > FULL]
+        usual_then = np.median(about.values, axis=0) if about else np.zeros(len(motors.names))
+        full = [motor for motor, command in zip(motors.names, usual_then.tolist(), strict=True) if command > FULL]
         yield Judgement(
             span=(start, end),
             text=f"{name} was up to {most:.0f} degrees off the wanted value, for {end - start:.1f} s"

@@ -16,6 +16,9 @@ load, damage below 3.3)."""
 _FULL_CELL_V = 4.2
 """Voltage of a full cell, from which the number of cells is guessed if no parameter gives it; then the finding is
 information only."""
+_LEAST_CELL_V = 3.0
+"""Highest voltage of a flight below which a number of cells is wrong, volts for each: so empty before the motors turn,
+no battery of lithium delivers a flight's current."""
 _LEAST_S = 3.0
 """Shortest time below that voltage, seconds. Chosen: longer than a full command of the motors, during which the voltage
 drops and recovers."""
@@ -27,6 +30,8 @@ def _judge(facts: LogFacts, battery: LogSignal) -> Iterator[Judgement]:
     if not (in_control(facts, battery.time_s) & np.isfinite(volts)).any():
         return
     said = next((facts.parameters[name] for name in _CELLS if facts.parameters.get(name, 0) > 0), 0.0)
+    if np.nanmax(volts) < _LEAST_CELL_V * said:
+        said = 0.0
     cells = int(said) or max(1, round(float(np.nanmax(volts)) / _FULL_CELL_V))
     source = "as its parameters say" if said else "from the highest voltage"
     # cells of lithium ion may be discharged further, if their owner sets that parameter
@@ -54,7 +59,7 @@ RULE = Rule(
     counter=(
         "the log reports a connected battery and a voltage above zero",
         "a dip under full command passes within seconds",
-        "if the number of cells is a guess, this is information only",
+        "if the number of cells is a guess, or the highest voltage contradicts it, this is information only",
     ),
     needs=("battery",),
     plots=("battery", "motors"),
