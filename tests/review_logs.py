@@ -249,7 +249,7 @@ def telemetry(
             continue
         pulses = [0] * 16
         pulses[first_output - 1 : first_output + 3] = (round(1000 + 1000 * share) for share in flight.motors(at))
-        roll = [radians(flight.tilt_deg(at)), *[0.0] * 5]
+        roll = [radians(flight.tilt_deg(at)), 0.0, radians(flight.yaw_deg(at)), *[0.0] * 3]
         metres = flight.height(at) + drift_m * min(at, 1.0)
         armed = 128 * flight.armed(at) + 1
         packets += [

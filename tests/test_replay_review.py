@@ -656,7 +656,7 @@ def test_one_sample_in_the_air_shows_who_turned_over_and_fell(tmp_path: Path) ->
 def test_one_sample_does_not_say_how_long_a_motor_was_stopped(
     period_s: float, found: list[str], tmp_path: Path
 ) -> None:
-    flight = Flight(motors=one_motor(2, 0.0, 30.0, 32.2))
+    flight = replace(CASES["motor_command_stopped"], motors=one_motor(2, 0.0, 30.0, 32.2))
     assert names(rules_on(telemetry(tmp_path / "flight.tlog", flight, period_s))) == found
 
 
@@ -675,6 +675,12 @@ def test_a_rover_may_be_disarmed_by_anybody() -> None:
     )
     assert not judged(Path("rover.ulg"), facts).wrong
     assert judged(Path("copter.ulg"), replace(facts, vehicle="multirotor")).wrong
+
+
+def test_a_log_that_begins_in_flight_does_not_know_who_commanded_before() -> None:
+    facts = LogFacts("PX4", "multirotor", 0, 60.0, ((0.0, 60.0),), ((0.0, 60.0),), {})
+    review = judged(Path("copter.ulg"), replace(facts, commands=(CommandSent(0.5, 255, 0, "400", (0.0,)),)))
+    assert "begins in flight" in review.unjudged["Commands from a new sender in flight"]
 
 
 def test_a_plane_whose_log_has_no_barometer_flies_by_its_receivers_height(tmp_path: Path) -> None:

@@ -287,29 +287,30 @@ def _unmoved(facts: LogFacts) -> Iterator[tuple[float, float]]:
     it includes the time before and after in which the attitude stays the same.
     """
     attitude, wanted, motors = (facts.signal(name) for name in ("attitude", "attitude_wanted", "motors"))
-    # windows of samples instead of a grid of times: one damaged stamp would make the grid endless
-    samples, every = round(_STANDS_S / _STEP_S), max(1, round(_STEP_S * attitude.rate_hz))
-    if len(attitude.time_s) < samples * every:
-        return
+    every = max(1, round(_STEP_S * attitude.rate_hz))
     times, angles = attitude.time_s[::every], np.unwrap(attitude.values[::every], period=360.0, axis=0)
-    # a vehicle that lost a rotor may keep roll and pitch, but spins
-    still = (np.ptp(sliding_window_view(angles, samples, axis=0), axis=-1) < _STILL_DEG).all(axis=1)
 
-    def spans(must: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    def spans(must: NDArray[np.bool_], least_s: float, still_deg: float) -> list[tuple[float, float]]:
+        # windows of samples instead of a grid of times: one damaged stamp would make the grid endless
+        samples = round(least_s / _STEP_S)
+        if len(times) < samples:
+            return []
+        # all axes: a vehicle that lost a rotor may keep roll and pitch, but spins
+        still = (np.ptp(sliding_window_view(angles, samples, axis=0), axis=-1) < still_deg).all(axis=1)
         stands = still & sliding_window_view(must, samples).all(axis=-1)
         return spans_where(times, np.convolve(stands, np.ones(samples)) > 0.5)
 
     if wanted:
-        yield from spans(degrees_apart(wanted.at(times)[:, :2], angles[:, :2]).max(axis=1) > _ASKED_DEG)
+        far = degrees_apart(wanted.at(times)[:, :2], angles[:, :2]).max(axis=1) > _ASKED_DEG
+        yield from spans(far, _STANDS_S, _STILL_DEG)
     if len(motors.names) == _QUAD:
         commands = motors.at(times)
-        for start, end in spans((commands.min(axis=1) < _STOPPED) & (commands.max(axis=1) > _IDLE_COMMAND)):
+        stopped = (commands.min(axis=1) < _STOPPED) & (commands.max(axis=1) > _IDLE_COMMAND)
+        for start, end in spans(stopped, _STOPPED_S, _STOPPED_DEG):
             within = (times >= start) & (times <= end)
             away = times[(np.abs(angles - angles[within].mean(axis=0))[:, :2] > _STILL_DEG).any(axis=1) & ~within]
-            yield (
-                float(np.max(away[away < start], initial=times[0])),
-                float(np.min(away[away > end], initial=times[-1])),
-            )
+            before, after = away[away < start], away[away > end]
+            yield float(np.max(before, initial=times[0])), float(np.min(after, initial=times[-1]))
 
 
 def degrees_apart(first: Floats, second: Floats) -> Floats:
@@ -452,6 +453,9 @@ commands differ while the motors carry a vehicle."""
 _IDLE_COMMAND = 0.15
 """Largest command of idle motors, of full command: motors idle at 0.05 to 0.13. Strong vehicles hover there, but never
 with all motors equal."""
+_STOPPED_S, _STOPPED_DEG = 1.0, 10.0
+"""Shortest stop of a motor that shows the ground, seconds, and the largest turn meanwhile, degrees. In flight a quarter
+of the lift lacks at an arm r: the vehicle turns with about g / (4 r), by 70 degrees in a second if r is a metre."""
 _HOP_S = 1.0
 """Shortest flight, seconds. Chosen: a shorter one is a withdrawn report, or a touch of the throttle."""
 _STANDS_S = 3.0

@@ -9,8 +9,8 @@ from typing import get_args
 import numpy as np
 
 from monitor.alarms.command_watch import FLOOD, CommandSent, CommandWatch, ends_flight
-from replay.review.facts.log_facts import LogFacts
-from replay.review.findings.rule import Judgement, Rule, Weight
+from replay.review.facts.log_facts import BEGIN_S, LogFacts
+from replay.review.findings.rule import Judgement, Rule, UnjudgedError, Weight
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
@@ -46,6 +46,8 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 evidence=before.evidence if said.text == before.text else (*before.evidence, _evidence(command)),
                 weight=max(before.weight, weight, key=get_args(Weight).index),
             )
+    if found and not watch.known and facts.flight[0][0] < BEGIN_S:
+        raise UnjudgedError("the log begins in flight, and nobody knows who commanded before")
     yield from found.values()
     if flood_s is not None:
         yield Judgement(
