@@ -46,12 +46,15 @@ cdef struct Signature:
     # biases of gyros and accelerometers at the onset, and their variances
     double[5] bias
     double[5] variance
-    int age
+    # how long ago it was, s
+    double age_s
 
 
 cdef class Navigation:
     cdef double _dt, _level
     cdef int _every, _ticks, _count, _helpless
+    # time since the fix before, s
+    cdef double _step_s
     # whether it has begun, and whether the autopilot's heading is another one
     cdef bint _begun, _turned
     cdef double[9] _R
@@ -86,7 +89,10 @@ cdef class Navigation:
     cdef double[2] _tilting
     cdef double _turning
     cdef bint _pointed, _aimed
-    cdef double[2] _sharp
+    # The largest horizontal acceleration of late; the variance of the noise of the GPS's velocity, and how far that was
+    # off north and east in the newest two comparisons.
+    cdef double _sharp, _speed_noise
+    cdef double[2][2] _off
     cdef double[3] _missed
     # Biases: of the gyros x, y, z, of the accelerometers x, y; what each was before a fault, the variance of that, and
     # whether it has one.
@@ -105,13 +111,14 @@ cdef class Navigation:
     cdef bint returned
 
     cdef void restart(self) noexcept
-    cdef bint go_on(
+    cdef void go_on(
         self, const double* force, const double* rate, const double* mean, const double* R, const double* field,
-        const double* hidden, bint lined,
-        double* acceleration
+        const double* hidden, bint lined, double ahead, double* acceleration
     ) noexcept
+    cdef bint due(self, double measured) noexcept
     cdef void align(self, const double* force, const double* rate, double* aligned, double* swing) noexcept
     cdef void shake(self, int k, double change) noexcept
+    cdef void scatter(self, double second) noexcept
     cdef double shaken(self, int axis, int first) noexcept
     cdef void point(self, const double* field, const double* R) noexcept
     cdef void meet(self, const double* velocity, double line_s) noexcept

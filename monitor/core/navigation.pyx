@@ -68,11 +68,14 @@ cdef double[4] _WALK = [1e-3, 0.05, 1e-4, 5e-3]
 # motion makes large ones, but seldom. Followed by a factor of e within a second, as long as propellers take to change.
 cdef double _HALF_BELOW = 6.0 * 0.455
 cdef double _NOISE_S = 1.0
-# Noise of a GPS's velocity (0.1 m/s, 50 % circular, in data sheets), how late or early against the others it may be
-# (quarter of the time between two fixes of 5 Hz; of a longer line over lost ones as well), and noise of the autopilot's
-# heading.
-cdef double _SPEED_NOISE = 0.1
-cdef double _TIMING_S = 0.05
+# Noise of a GPS's velocity, m/s: the least that is believed, and what is assumed at the start (data sheets say 0.05 to
+# 0.1, 50 % circular). It is followed as that of the gyros, but with five fixes a second: by a factor of e within 4 s.
+cdef double[2] _SPEED_NOISE = [0.05, 0.1]
+cdef double _SCATTER_S = 4.0
+# How late or early a fix may be against the accelerometers, s: half of the step of the delays that a fit tries (0.02)
+# and half of the tick that the fix lies in (0.02 at 25 Hz), as independent errors; on a longer line over lost fixes a quarter of it.
+cdef double _TIMING_S = 0.03
+# Noise of the autopilot's heading, rad.
 cdef double _HEADING_NOISE = 0.1
 # How late or early the field may be against the gyros, s: half of the step of the delays that a fit tries.
 cdef double _FIELD_TIMING_S = 0.02
@@ -130,6 +133,11 @@ cdef int _HELPLESS = 2 * ONSETS
 cdef int _STEPS = 3
 # Steps between two onsets.
 cdef int _SPACING = 2
+# Share of the usual time between two comparisons with the GPS after which the filter compares with a fix, and after which
+# with a point of the line between two fixes. Chosen: it compares with each fix of a receiver of 5 Hz and with each second
+# one of 10 Hz; on the line only where no fix is seen, as at constant velocity.
+cdef double _SOONEST = 0.7
+cdef double _LATEST = 1.5
 
 cdef enum:
     # Indices of the states, and of the hypotheses: biases first, as the states are; then jumps of velocity and of the
@@ -207,25 +215,27 @@ cdef class Navigation:
         memset(self._led, 0, sizeof(self._led))
         memset(self._stepped, 0, sizeof(self._stepped))
         memset(self._held, 0, sizeof(self._held))
-        memset(self._sharp, 0, sizeof(self._sharp))
         memset(self._missed, 0, sizeof(self._missed))
         memset(self._field, 0, sizeof(self._field))
         memset(self._tilting, 0, sizeof(self._tilting))
-        self._declined = self._back_s = self._back_off = self._whirl = self._late_s = 0.0
+        self._declined = self._back_s = self._back_off = self._whirl = self._sharp = self._late_s = 0.0
         self._lined_s = 0.0
         self._field_late_s = self._field_delay_s
         self._pointed = self._aimed = False
+        memset(self._off, 0, sizeof(self._off))
+        self._speed_noise = _SPEED_NOISE[1] * _SPEED_NOISE[1]
         self._ticks = self._count = self._helpless = 0
         self._turned = False
 
-    cdef bint go_on(
+    cdef void go_on(
         self, const double* force, const double* rate, const double* mean, const double* R, const double* field,
-        const double* hidden, bint lined, double* acceleration
+        const double* hidden, bint lined, double ahead, double* acceleration
     ) noexcept:
-        """Go on by a tick; fill in the acceleration north, east, down. Return whether a fix is due to be met.
+        """Go on by a tick; fill in the acceleration north, east, down.
 
         ``mean`` is the rate over the tick, ``hidden`` are variances of what a straight line hides of the velocity
-        north, east and down in it, and of the angles about the body's axes.
+        north, east and down in it, and of the angles about the body's axes. ``ahead`` is the newest horizontal
+        acceleration, of a later time than ``force``: a fix that is late against it may hold a part of its motion.
         """
         cdef double[9] turned
         cdef double[3] turn
@@ -267,10 +277,10 @@ cdef class Navigation:
         if first:
             self._begun = True
             self.point(field, R)
-            return True
+            return
         for i in range(2):
             self._velocity[i] += specific[i] * self._dt
-            self._sharp[i] = fmax(fabs(specific[i]), self._sharp[i])
+        self._sharp = fmax(fmax(hypot(specific[0], specific[1]), ahead), self._sharp)
         # F <- F_tick F and Q <- F_tick Q F_tick' + q.
         for k in range(STATES):
             self.advance(&self._F[0][k], STATES, specific)
@@ -296,7 +306,16 @@ cdef class Navigation:
         self._lined_s = _LINE_S if lined else fmax(0.0, self._lined_s - self._dt)
         self._ticks += 1
         self.point(field, R)
-        return self._ticks >= self._every
+
+    cdef bint due(self, double measured) noexcept:
+        """Return whether to compare with the GPS now: ``measured`` is 1 at a fix, 0 on the line between two fixes.
+
+        On the line the velocity is a mean of two fixes and hides the motion between them. 0.5 says that fixes follow each
+        other as fast as ticks.
+        """
+        if self._ticks == 0:
+            return True
+        return self._ticks >= self._every * (_SOONEST if measured == 1.0 else 1.0 if measured else _LATEST)
 
     cdef void align(self, const double* force, const double* rate, double* aligned, double* swing) noexcept:
         """Fill in a force less biases, in the body's axes that the gyros have meanwhile, and how these turn it."""
@@ -316,6 +335,12 @@ cdef class Navigation:
         self._change[k] = change
         self._noise[k] *= 1.0 + (self._dt if second * second > _HALF_BELOW * self._noise[k] else -self._dt) / _NOISE_S
         self._noise[k] = fmax(self._noise[k], walk * walk / self._dt)
+
+    cdef void scatter(self, double second) noexcept:
+        """Follow the variance of the noise of the GPS's velocity by a second difference of what it was off by."""
+        cdef double share = self._step_s / _SCATTER_S
+        self._speed_noise *= 1.0 + (share if second * second > _HALF_BELOW * self._speed_noise else -share)
+        self._speed_noise = fmax(self._speed_noise, _SPEED_NOISE[0] * _SPEED_NOISE[0])
 
     cdef double shaken(self, int axis, int first) noexcept:
         """Return what noise of gyros (first 0) or accelerometers (3) adds about an axis over a tick, as a variance."""
@@ -382,13 +407,19 @@ cdef class Navigation:
             # the first tick: nothing to compare yet
             self._velocity[0], self._velocity[1] = velocity[0], velocity[1]
             return
+        self._step_s = self._ticks * self._dt
         self.propagate()
         for i in range(2):
-            self._offset[i] += self._drift[i] * self._ticks * self._dt
+            self._offset[i] += self._drift[i] * self._step_s
             innovation[i] = velocity[i] - self._offset[i] - self._velocity[i]
-            variance[i] = _SPEED_NOISE * _SPEED_NOISE + (fmax(_TIMING_S, 0.25 * line_s) * self._sharp[i]) ** 2
-            self._sharp[i] *= _PEAK_KEPT
+            variance[i] = self._speed_noise + (fmax(_TIMING_S, 0.25 * line_s) * self._sharp) ** 2
             steps |= self.steps(i, innovation[i], variance[i] + self._P[_V + i][_V + i], _SPEED_LEAST)
+        # Where errors of timing are larger than noise they would pass for it.
+        if not steps and (_TIMING_S * self._sharp) ** 2 < self._speed_noise:
+            for i in range(2):
+                self.scatter(innovation[i] - 2.0 * self._off[i][0] + self._off[i][1])
+        for i in range(2):
+            self._off[i][1], self._off[i][0] = self._off[i][0], innovation[i]
         if steps:
             # north and east are of one device
             for i in range(2):
@@ -424,6 +455,7 @@ cdef class Navigation:
                 if self._held[2] == _STEPS:
                     self.strayed, self._back_s = True, 0.0
         self._pointed = False
+        self._sharp *= _PEAK_KEPT
         self._whirl *= _PEAK_KEPT
         self.update(innovation, variance)
         self._count += 1
@@ -444,7 +476,7 @@ cdef class Navigation:
             ):
                 self._back_s, self._back_off = 0.0, turned
             else:
-                self._back_s += self._every * self._dt
+                self._back_s += self._step_s
             self.strayed = self._back_s < _BACK_S
         else:
             self._strength += _STRENGTH_SHARE * (strength - self._strength)
@@ -502,7 +534,7 @@ cdef class Navigation:
                 self._P[j][i] = self._P[i][j]
         for k in range(n):
             signature = &self._signatures[k]
-            signature.age += 1
+            signature.age_s += self._step_s
             for h in range(HYPOTHESES):
                 for i in range(STATES):
                     moved[i] = 0.0
@@ -560,7 +592,7 @@ cdef class Navigation:
                     if h == _JUMP + m:
                         expected += 1.0
                     elif h == _RAMP + m:
-                        expected += signature.age * self._every * self._dt
+                        expected += signature.age_s
                     signature.matched[h] += expected * nu / S
                     signature.energy[h] += expected * expected / S
                     for i in range(STATES):
@@ -603,7 +635,7 @@ cdef class Navigation:
         cdef double[HYPOTHESES] best
         cdef double[HYPOTHESES] end
         cdef int[HYPOTHESES] onset, ended
-        cdef double likelihood, others, size, least, step_s = self._every * self._dt
+        cdef double likelihood, others, size, least
         cdef Signature* signature
         cdef int h, k, which = 0, n = self.onsets()
         cdef bint turning = self._faulty[0] or self._faulty[1] or self._faulty[2]
@@ -658,7 +690,7 @@ cdef class Navigation:
             if (
                 fabs(size) > least
                 and (which >= _JUMP or fabs(size) < _MOST[which >= 3])
-                and (which < _RAMP or signature.age * step_s > _RAMPS_S)
+                and (which < _RAMP or signature.age_s > _RAMPS_S)
             ):
                 if which >= _RAMP and turning:
                     # So does a tilt, which is left where the gyro's fault was another one than is believed.
@@ -681,7 +713,7 @@ cdef class Navigation:
         """Take a fault out of the state."""
         cdef double size = self._before[which] - signature.bias[which]
         # When it ended is known to half the time between two onsets.
-        cdef double angle = 0.5 * _SPACING * self._every * self._dt * size
+        cdef double angle = 0.5 * _SPACING * self._step_s * size
         cdef int i
         self.jump(signature, which, size, 0.0)
         self._faulty[which] = False
@@ -704,11 +736,11 @@ cdef class Navigation:
                 self._before[which] = signature.bias[which]
                 self._doubt[which] = signature.variance[which]
             if which < 3:
-                self._missed[which] += size * signature.age * self._every * self._dt
+                self._missed[which] += size * signature.age_s
         elif which < _TURN:
             self.put_off(which - _JUMP, size)
         elif which >= _RAMP:
-            self._offset[which - _RAMP] += size * signature.age * self._every * self._dt
+            self._offset[which - _RAMP] += size * signature.age_s
             self._drift[which - _RAMP] += size
             self._led[which - _RAMP] = True
         elif fabs(size) < _FIELD_LEAST:

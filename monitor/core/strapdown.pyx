@@ -29,7 +29,9 @@ cdef int _RESET_TICKS = 3
 # Chosen: twice the smallest error of a position that is worth an alarm. A fix that was the same for long and then moves
 # by less was that of a vehicle that stood still without noise, as in simulators.
 cdef double _STUCK_METRES = 1.0
-# Speed of a receiver that stands, m/s: the noise of its velocity, as the navigation takes it.
+# A bend beyond what rounding makes of a straight line, per the velocity's size: some thousand times double precision.
+cdef double _BENT = 1e-12
+# Speed of a receiver that stands, m/s: the noise of its velocity, as the navigation assumes it at the start.
 cdef double _STANDS = 0.1
 # How long the gyro or the attitude may lack before all begins anew, seconds. Chosen: as long as a gap of the samples.
 cdef double _LONGEST_S = 1.5
@@ -307,6 +309,10 @@ cdef class StrapdownCore:
     # Where a receiver was stuck, how the vehicle moved since by accelerations, ticks until that is compared with where
     # it goes on, and whether all has to begin anew there.
     cdef double[2] _stuck
+    # The GPS's velocity of the tick before as it comes, by how much it changed then, and whether by more than before.
+    cdef double[3] _spoke
+    cdef double[3] _slope
+    cdef bint _bent
     cdef double[2] _way
     cdef int _loose
     cdef bint _unstuck
@@ -355,7 +361,7 @@ cdef class StrapdownCore:
         self._speeds = speeds
         # Behind the values: whether their measurements lack; of fixes how long a line over lost ones is.
         self._motion = _Delay.__new__(_Delay, imu_ticks, 6)
-        self._fixes = _Delay.__new__(_Delay, gps_ticks, 7)
+        self._fixes = _Delay.__new__(_Delay, gps_ticks, 8)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
         self._levels = _Delay.__new__(_Delay, compass_ticks, 8)
         self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, _SENSED)
@@ -400,6 +406,9 @@ cdef class StrapdownCore:
         memset(self._lacking, 0, sizeof(self._lacking))
         memset(self._added, 0, sizeof(self._added))
         memset(self._fix, 0, sizeof(self._fix))
+        memset(self._spoke, 0, sizeof(self._spoke))
+        memset(self._slope, 0, sizeof(self._slope))
+        self._bent = False
         memset(self._field, 0, sizeof(self._field))
         memset(self._way, 0, sizeof(self._way))
         memset(self._turned, 0, sizeof(self._turned))
@@ -681,7 +690,7 @@ cdef class StrapdownCore:
             elif self._speeds == 3:
                 for axis in range(2):
                     values[3 + axis] = along(R, sensors + 3, axis)
-            values[5], values[6] = lacks[_GPS], fix_line_s
+            values[5], values[6], values[7] = lacks[_GPS], fix_line_s, self.bends(sensors + 3)
             fix = self._fixes.push(values)
             full = full and fix != NULL
             sensors += 3 + self._speeds
@@ -694,7 +703,7 @@ cdef class StrapdownCore:
             return False
         if self._gps:
             if self._navigation is not None:
-                self.navigate(sensed, fix, motion)
+                self.navigate(sensed, fix, hypot(along(R, signals, 0), along(R, signals, 1)), motion)
                 self.follow_rest(sensed + 3, fix, motion)
             self.follow_fix(fix, motion)
             y[0], y[1] = fix[0], fix[1]
@@ -795,24 +804,39 @@ cdef class StrapdownCore:
             turned[i] = _product(self._apart, R, i // 3, i % 3)
         memcpy(R, turned, sizeof(turned))
 
-    cdef void navigate(self, const double* sensed, const double* fix, double* motion) noexcept:
+    cdef void navigate(self, const double* sensed, const double* fix, double ahead, double* motion) noexcept:
         """Put the accelerations of the vehicle's own navigation in place of those with the autopilot's attitude."""
-        cdef bint lacks = sensed[15] != 0.0, stands = self.rests(), due, news
+        cdef bint lacks = sensed[15] != 0.0, stands = self.rests(), news
         if not self._navigation._begun and (lacks or fix[5] != 0.0):
             return
-        due = self._navigation.go_on(
-            sensed, sensed + 3, sensed + 26, sensed + 6, sensed + 16, sensed + 20, sensed[19] != 0.0, motion
+        self._navigation.go_on(
+            sensed, sensed + 3, sensed + 26, sensed + 6, sensed + 16, sensed + 20, sensed[19] != 0.0, ahead, motion
         )
         self._navigation.differ(sensed + 6, self._apart)
         news = memcmp(fix, self._fix, sizeof(self._fix)) != 0
         # The first fix that moves is met as it comes, and with it the later ones, not the lines between them.
         self._stood |= stands
-        if not fix[5] and (news and (due or self._stood) or due and stands):
+        if not fix[5] and (news and self._stood or (news or stands) and self._navigation.due(fix[7])):
             self._stood = self._stood and not news
             self._navigation.meet(fix + 3, fix[6])
             if self._navigation.returned:
                 self._navigation.returned = False
                 self._back = True
+
+    cdef double bends(self, const double* speed) noexcept:
+        """Return 1 where a fix came since the tick before, which bends the line of the GPS's velocity, else 0.
+
+        0.5 where the line bent at the tick before, too: that is the same fix, or fixes come as fast as ticks.
+        """
+        cdef bint bent = False, before = self._bent
+        cdef double slope
+        cdef int i
+        for i in range(self._speeds):
+            slope = speed[i] - self._spoke[i]
+            bent |= fabs(slope - self._slope[i]) > _BENT * max(1.0, fabs(speed[i]))
+            self._spoke[i], self._slope[i] = speed[i], slope
+        self._bent = bent
+        return 0.5 * bent if before else bent
 
     cdef void follow_rest(self, const double* rate, const double* fix, const double* motion) noexcept:
         """Follow for how long the vehicle has stood: no motion but what errors of the IMU make of nothing."""
