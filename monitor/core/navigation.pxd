@@ -118,7 +118,7 @@ cdef class Navigation:
     cdef bint due(self, double measured) noexcept
     cdef void align(self, const double* force, const double* rate, double* aligned, double* swing) noexcept
     cdef void shake(self, int k, double change) noexcept
-    cdef void scatter(self, double second) noexcept
+    cdef void scatter(self, double second, double variance) noexcept
     cdef double shaken(self, int axis, int first) noexcept
     cdef void point(self, const double* field, const double* R) noexcept
     cdef void meet(self, const double* velocity, double line_s) noexcept

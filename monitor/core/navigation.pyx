@@ -69,9 +69,12 @@ cdef double[4] _WALK = [1e-3, 0.05, 1e-4, 5e-3]
 cdef double _HALF_BELOW = 6.0 * 0.455
 cdef double _NOISE_S = 1.0
 # Noise of a GPS's velocity, m/s: the least that is believed, and what is assumed at the start (data sheets say 0.05 to
-# 0.1, 50 % circular). It is followed as that of the gyros, but with five fixes a second: by a factor of e within 4 s.
+# 0.1, 50 % circular). It is followed by second differences as that of the gyros, but five fixes a second tell less: down
+# by a factor of e within 4 s, and up three times as fast, as a reception that gets worse would look like a fault. So a
+# quarter of them is above the level, 1.323 times their variance.
 cdef double[2] _SPEED_NOISE = [0.05, 0.1]
 cdef double _SCATTER_S = 4.0
+cdef double _THREE_QUARTERS_BELOW = 6.0 * 1.323
 # How late or early a fix may be against the accelerometers, s: half of the step of the delays that a fit tries (0.02)
 # and half of the tick that the fix lies in (0.02 at 25 Hz), as independent errors; on a longer line over lost fixes a quarter of it.
 cdef double _TIMING_S = 0.03
@@ -336,10 +339,16 @@ cdef class Navigation:
         self._noise[k] *= 1.0 + (self._dt if second * second > _HALF_BELOW * self._noise[k] else -self._dt) / _NOISE_S
         self._noise[k] = fmax(self._noise[k], walk * walk / self._dt)
 
-    cdef void scatter(self, double second) noexcept:
-        """Follow the variance of the noise of the GPS's velocity by a second difference of what it was off by."""
+    cdef void scatter(self, double second, double variance) noexcept:
+        """Follow the noise of the GPS's velocity by a second difference of what it was off by.
+
+        ``variance`` is that of noise and timing. Where the latter is the larger part it hides that there is less noise.
+        """
         cdef double share = self._step_s / _SCATTER_S
-        self._speed_noise *= 1.0 + (share if second * second > _HALF_BELOW * self._speed_noise else -share)
+        if second * second > _THREE_QUARTERS_BELOW * variance:
+            self._speed_noise *= 1.0 + 3.0 * share
+        elif variance < 2.0 * self._speed_noise:
+            self._speed_noise *= 1.0 - share
         self._speed_noise = fmax(self._speed_noise, _SPEED_NOISE[0] * _SPEED_NOISE[0])
 
     cdef double shaken(self, int axis, int first) noexcept:
@@ -414,11 +423,9 @@ cdef class Navigation:
             innovation[i] = velocity[i] - self._offset[i] - self._velocity[i]
             variance[i] = self._speed_noise + (fmax(_TIMING_S, 0.25 * line_s) * self._sharp) ** 2
             steps |= self.steps(i, innovation[i], variance[i] + self._P[_V + i][_V + i], _SPEED_LEAST)
-        # Where errors of timing are larger than noise they would pass for it.
-        if not steps and (_TIMING_S * self._sharp) ** 2 < self._speed_noise:
-            for i in range(2):
-                self.scatter(innovation[i] - 2.0 * self._off[i][0] + self._off[i][1])
         for i in range(2):
+            if not steps:
+                self.scatter(innovation[i] - 2.0 * self._off[i][0] + self._off[i][1], variance[i])
             self._off[i][1], self._off[i][0] = self._off[i][0], innovation[i]
         if steps:
             # north and east are of one device

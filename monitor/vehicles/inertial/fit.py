@@ -475,11 +475,12 @@ def _alarms(
     """
     share = FALSE_ALARMS_PER_HOUR / len(channels)
     places = {channel.name: at for at, channel in enumerate(channels)}
+    decided = (*ACCELEROMETERS, *GYROS) if places.keys() & set(ACCELEROMETERS) else ()
     alarms = []
     for channel in channels:
         edges = channel.name in GPS_VELOCITY
         times = _JUMP if edges else _SET if channel.name in MOTION else _TIMES
-        times = _DECIDED if channel.name in ACCELEROMETERS else times
+        times = _DECIDED if channel.name in decided else times
         if channel.name == "compass" and places.keys() & set(MOTION):
             times = _TILTED
         pool = next((pool for pool in _POOLS if channel.name in pool), (channel.name,))
