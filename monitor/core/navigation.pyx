@@ -76,7 +76,8 @@ cdef double[2] _SPEED_NOISE = [0.05, 0.1]
 cdef double _SCATTER_S = 4.0
 cdef double _THREE_QUARTERS_BELOW = 6.0 * 1.323
 # How late or early a fix may be against the accelerometers, s: half of the step of the delays that a fit tries (0.02)
-# and half of the tick that the fix lies in (0.02 at 25 Hz), as independent errors; on a longer line over lost fixes a quarter of it.
+# and half of the tick that the fix lies in (0.02 at 25 Hz), as independent errors; on a line over lost fixes a quarter
+# of its length.
 cdef double _TIMING_S = 0.03
 # Noise of the autopilot's heading, rad.
 cdef double _HEADING_NOISE = 0.1
