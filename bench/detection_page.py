@@ -9,6 +9,7 @@ from statistics import median
 from accounting import AFTERMATH_S, FIRST_S, SETTLING_S, Found, Reading, Result, Verdict, at_equal_rate
 from detectors import FACTORS, FAUIO, GLR_ROWS, WINDOW_S
 from flights import Fault
+from limit import tilt_limit
 
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 
@@ -137,6 +138,9 @@ def _by_flight(results: Sequence[Result], detectors: Sequence[str]) -> list[str]
         cells = [_cell(result.found[name].verdicts[k]) for name in detectors]
         expected = " or ".join(sorted(fault.channels)) or "not known"
         limit = "" if (at := result.limits_s[k]) is None else f"{at:.2f} s"
+        if fault.truth and fault.truth.channel in ("gyro_x", "gyro_y"):
+            tilted = tilt_limit(fault.truth.size)
+            limit += "; tilt " + (f"{tilted:.1f} s" if tilted else "over 5 s")
         lines.append(_row(result.flight.name, f"{fault.kind} {fault.text}", expected, limit, *cells))
     return lines
 
@@ -265,7 +269,10 @@ If the kind of a fault is not known, any alarm counts."""
 BY_FLIGHT = f"""Delay until the right channel's alarm; "also" are wrong channels up to {AFTERMATH_S:g} s after the
 fault's end. "limit" is the time after which the fault, with size and onset known, has as many nats as
 {FALSE_ALARMS_PER_HOUR:g} false alarms an hour need by the fitted model of calm flight. No detector on these samples
-is sooner, and none knows size and onset. An actuator at rest shows nothing: delays of steering and surfaces count
+is sooner, and none knows size and onset. Of a gyro it counts the jump in the first sample, which a push on the vehicle
+makes as well, and which the controller has removed 30 ms later. Where the attitude on board follows the gyro, only the
+tilt tells the two apart: "tilt" is the same limit by the GPS's velocity (5 fixes a second, 0.05 m/s of noise) in hover,
+without what the magnetic field may add. An actuator at rest shows nothing: delays of steering and surfaces count
 from the injection, not from the first turn."""
 
 ESTIMATES = f"""Mean estimate of mean truth, and root mean square error. "First" is from {SETTLING_S:g} s after the

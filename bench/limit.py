@@ -4,6 +4,9 @@ A detector that raises alpha false alarms a sample needs ln(1 / alpha) nats (Lor
 42(6), 1971; Lai, IEEE Trans. Information Theory 44(7), 1998); those of a fault of known size and onset grow by
 |s(k)|^2 / 2 with each sample, s being what it makes of the whitened innovations over their deviation in calm flight.
 The motors' lag is in s. What telemetry needs to arrive, and a size or an onset that nobody knows, come on top.
+
+Of a gyro's bias the model of the motors sees the jump in the first sample, which a push on the vehicle makes as well.
+Where the attitude on board follows the gyro, what tells the two apart is the tilt that the bias makes.
 """
 
 from __future__ import annotations
@@ -14,16 +17,24 @@ import numpy as np
 from flights import Fault
 from numpy.typing import NDArray
 
+from adapters.channels import STANDARD_GRAVITY
 from adapters.sample import Samples
 from gains.plants.plant import Plant
 from monitor.estimation.changes import ChangeRule, ChangeStage
 from monitor.estimation.input_curve import effect_of_command
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 from monitor.profile import ObserverProfile
+from monitor.vehicles.inertial.strapdown import FIX_S
 
 _LONGEST_S = 5.0
 _BEFORE = 40
 """Samples before the onset: more than lag and whitening remember."""
+_SPEED_NOISE = 0.05
+_WALKS = (1e-3, 0.05)
+"""Noise of a fix's velocity, m/s, and random walks of tilt and velocity, rad and m/s per root of a second: as the
+navigation (monitor/core/navigation.pyx) takes them at the least."""
+_SETTLED = 200
+"""Fixes until the filter's uncertainty no longer depends on its start."""
 
 
 def information_limit(observer: ObserverProfile, fault: Fault, hover: NDArray[np.float64]) -> float | None:
@@ -46,6 +57,31 @@ def information_limit(observer: ObserverProfile, fault: Fault, hover: NDArray[np
     nats = np.cumsum(0.5 * _whitened(faulty - healthy, rule) ** 2)
     enough = np.flatnonzero(nats >= log(3600.0 * rate_hz / FALSE_ALARMS_PER_HOUR))
     return float(enough[0] - _BEFORE) / rate_hz if len(enough) else None
+
+
+def tilt_limit(bias: float) -> float | None:
+    """Return the seconds after which fixes of a GPS tell the bias of a gyro x or y, rad/s, from health in hover.
+
+    The bias tilts the attitude, gravity bends the velocity, and a Kalman filter of both follows it meanwhile.
+    """
+    tilt, speed = (walk * walk * FIX_S for walk in _WALKS)
+    bent = STANDARD_GRAVITY * FIX_S
+    F = np.array([[1.0, 0.0], [bent, 1.0]])
+    Q = np.array([[tilt, bent * tilt / 2.0], [bent * tilt / 2.0, speed + bent * bent * tilt / 3.0]])
+    P, signature, nats = np.eye(2), np.zeros(2), 0.0
+    enough = log(3600.0 / FIX_S / FALSE_ALARMS_PER_HOUR)
+    for fix in range(_SETTLED + round(_LONGEST_S / FIX_S)):
+        P = F @ P @ F.T + Q
+        S = P[1, 1] + _SPEED_NOISE * _SPEED_NOISE
+        gain = P[:, 1] / S
+        P = P - np.outer(gain, P[1])
+        if fix >= _SETTLED:
+            signature = F @ signature + bias * FIX_S * np.array([1.0, bent / 2.0])
+            nats += signature[1] ** 2 / (2.0 * S)
+            signature = signature - gain * signature[1]
+            if nats >= enough:
+                return (fix + 1 - _SETTLED) * FIX_S
+    return None
 
 
 def _added(

@@ -26,6 +26,7 @@ from detection_page import page
 from detection_plot import draw
 from detectors import DETECTORS, FAUIO, KALMAN_BANK, make_suite
 from flights import Flight, Truth, expected_channels, flight, is_disturbance
+from limit import tilt_limit
 
 ON, OFF = 112_704, 118_000
 LOSS = {"kind": "actuator_effectiveness_loss", "target": "motor/servo [3]", "magnitude": 0.9}
@@ -202,6 +203,12 @@ def test_an_estimate_is_compared_while_its_fault_is_on() -> None:
     assert found is not None
     assert (found.estimate, found.truth, found.rmse) == pytest.approx((0.11, 0.10, 0.01))
     assert reading(fault, time_ms, estimate, np.ones(len(time_ms), np.bool_), Spell("motor3", OFF - 900, OFF)) is None
+
+
+def test_the_larger_a_gyros_bias_the_sooner_its_tilt_tells_it() -> None:
+    assert tilt_limit(0.16) == pytest.approx(0.8)
+    assert tilt_limit(0.02) == pytest.approx(2.2)
+    assert tilt_limit(0.001) is None
 
 
 @pytest.mark.long
