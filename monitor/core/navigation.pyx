@@ -69,9 +69,9 @@ cdef double[4] _WALK = [1e-3, 0.05, 1e-4, 5e-3]
 cdef double _HALF_BELOW = 6.0 * 0.455
 cdef double _NOISE_S = 1.0
 # Noise of a GPS's velocity, m/s: the least that is believed, and what is assumed at the start (data sheets say 0.05 to
-# 0.1, 50 % circular). It is followed by second differences as that of the gyros, but five fixes a second tell less: down
-# by a factor of e within 4 s, and up three times as fast, as a reception that gets worse would look like a fault. So a
-# quarter of them is above the level, 1.323 times their variance.
+# 0.1, 50 % circular). It is followed by second differences as that of the gyros, but five fixes a second tell less:
+# down by a factor of e within 4 s, and up three times as fast, as a reception that gets worse would look like a fault.
+# So a quarter of them is above the level, 1.323 times their variance.
 cdef double[2] _SPEED_NOISE = [0.05, 0.1]
 cdef double _SCATTER_S = 4.0
 cdef double _THREE_QUARTERS_BELOW = 6.0 * 1.323
@@ -137,9 +137,9 @@ cdef int _HELPLESS = 2 * ONSETS
 cdef int _STEPS = 3
 # Steps between two onsets.
 cdef int _SPACING = 2
-# Share of the usual time between two comparisons with the GPS after which the filter compares with a fix, and after which
-# with a point of the line between two fixes. Chosen: it compares with each fix of a receiver of 5 Hz and with each second
-# one of 10 Hz; on the line only where no fix is seen, as at constant velocity.
+# Share of the usual time between two comparisons with the GPS after which the filter compares with a fix, and after
+# which with a point of the line between two fixes. Chosen: it compares with each fix of a receiver of 5 Hz and with
+# each second one of 10 Hz; on the line only where no fix is seen, as at constant velocity.
 cdef double _SOONEST = 0.7
 cdef double _LATEST = 1.5
 
@@ -314,8 +314,8 @@ cdef class Navigation:
     cdef bint due(self, double measured) noexcept:
         """Return whether to compare with the GPS now: ``measured`` is 1 at a fix, 0 on the line between two fixes.
 
-        On the line the velocity is a mean of two fixes and hides the motion between them. 0.5 says that fixes follow each
-        other as fast as ticks.
+        On the line the velocity is a mean of two fixes and hides the motion between them. 0.5 says that fixes follow
+        each other as fast as ticks.
         """
         if self._ticks == 0:
             return True
