@@ -69,6 +69,15 @@ def test_a_receiver_whose_noise_doubles_in_flight_is_no_fault() -> None:
     assert transform.scores.max() < LEVEL
 
 
+@pytest.mark.parametrize("onset", range(2000, 2160, 20))
+def test_a_velocity_that_a_touchdown_stops_is_no_fault_at_whichever_fix_it_shows(onset: int) -> None:
+    raw = noisy(30.0, 8)
+    off = np.where(np.arange(len(raw)) < onset, 0.0, 0.5)
+    transform = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
+    transform.run(part(led(raw, off), 0, len(raw)))
+    assert transform.scores.max() < LEVEL
+
+
 @pytest.mark.parametrize("seed", [0, 2, 4])
 def test_samples_that_vibration_throws_about_are_no_fault(seed: int) -> None:
     raw, rng = noisy(60.0, seed), np.random.default_rng(seed)

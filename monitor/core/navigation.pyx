@@ -46,7 +46,7 @@ leads back: position and velocity of a receiver that was led away are then right
 In hover a tilt and a bias of an accelerometer cannot be told apart; what tells is that no gyro turned.
 """
 
-from libc.math cimport INFINITY, atan2, cos, fabs, fmax, hypot, sin, sqrt
+from libc.math cimport INFINITY, atan2, cos, fabs, fmax, fmin, hypot, sin, sqrt
 from libc.string cimport memcmp, memcpy, memmove, memset
 from monitor.core.lines cimport spread_between
 
@@ -135,8 +135,14 @@ cdef double _TURNED = 0.5
 cdef int _HELPLESS = 2 * ONSETS
 # Fixes that tell a step from a turn: the line from one measurement to the next may hide it in the first of them.
 cdef int _STEPS = 3
-# Steps between two onsets.
+# Steps between two onsets. Of the newest steps each is an onset: a jump explains no measurement before its onset, and
+# the first one after it best, so that with an onset a step off a fault of a sensor explains it better. Chosen: within
+# four steps a jump leaves all else behind.
 cdef int _SPACING = 2
+cdef int _DENSE = 4
+# Level from which a jump of the GPS's velocity is believed, as a touchdown makes one: the least level of a fault
+# (_LEAST_LEVEL of the fit). Healthy flights do not raise it, as a jump accuses no sensor.
+cdef double _JUMPED = 12.1
 # Share of the usual time between two comparisons with the GPS after which the filter compares with a fix, and after
 # which with a point of the line between two fixes. Chosen: it compares with each fix of a receiver of 5 Hz and with
 # each second one of 10 Hz; on the line only where no fix is seen, as at constant velocity.
@@ -412,7 +418,7 @@ cdef class Navigation:
         cdef Signature* newest
         cdef double off, timing_s
         cdef bint steps = False
-        cdef int i, h
+        cdef int i, h, older
         if self._ticks == 0:
             # the first tick: nothing to compare yet
             self._velocity[0], self._velocity[1] = velocity[0], velocity[1]
@@ -434,14 +440,18 @@ cdef class Navigation:
                 if self._held[i] == _STEPS:
                     self.put_off(i, innovation[i])
                 variance[i] = INFINITY
-        if self._count % _SPACING == 0:
-            memmove(&self._signatures[1], &self._signatures[0], (ONSETS - 1) * sizeof(Signature))
-            newest = &self._signatures[0]
-            memset(newest, 0, sizeof(Signature))
-            for h in range(_JUMP):
-                newest.state[h][_BG + h] = 1.0
-                newest.bias[h] = self._bias[h]
-                newest.variance[h] = self._P[_BG + h][_BG + h]
+        older = self._count - _DENSE
+        memmove(
+            &self._signatures[1],
+            &self._signatures[0],
+            (_DENSE - 1 if older > 0 and older % _SPACING else ONSETS - 1) * sizeof(Signature),
+        )
+        newest = &self._signatures[0]
+        memset(newest, 0, sizeof(Signature))
+        for h in range(_JUMP):
+            newest.state[h][_BG + h] = 1.0
+            newest.bias[h] = self._bias[h]
+            newest.variance[h] = self._P[_BG + h][_BG + h]
         innovation[2], variance[2] = 0.0, INFINITY
         if self._field_noise == 0.0:
             if self._pointed and not is_steep(hypot(self._R[7], self._R[8])):
@@ -556,7 +566,7 @@ cdef class Navigation:
 
     cdef int onsets(self) noexcept:
         """Return how many onsets there are."""
-        return min((self._count + _SPACING - 1) // _SPACING, ONSETS)
+        return min(self._count, _DENSE + max(0, self._count - _DENSE + 1) // _SPACING, ONSETS)
 
     cdef void update(self, const double* innovation, const double* variance) noexcept:
         """Go on by the measurements one after the other, the state and each signature."""
@@ -643,7 +653,7 @@ cdef class Navigation:
         cdef double[HYPOTHESES] best
         cdef double[HYPOTHESES] end
         cdef int[HYPOTHESES] onset, ended
-        cdef double likelihood, others, size, least
+        cdef double likelihood, others, size, least, level
         cdef Signature* signature
         cdef int h, k, which = 0, n = self.onsets()
         cdef bint turning = self._faulty[0] or self._faulty[1] or self._faulty[2]
@@ -680,15 +690,16 @@ cdef class Navigation:
         for h in range(HYPOTHESES):
             if h != which:
                 others = fmax(others, best[h] - (_COINCIDENCE if h >= _RAMP and which < _RAMP else 0.0))
-        # Magnetometers are judged elsewhere.
-        self.score = best[which] if which != _TURN else 0.0
-        self._helpless = self._helpless + 1 if self.score > self._level else 0
-        if self._learned and not turning and self.score > self._level and not _JUMP <= which < _RAMP:
+        level = fmin(self._level, _JUMPED) if _JUMP <= which < _TURN else self._level
+        # Jumps accuse no sensor, and magnetometers are judged elsewhere.
+        self.score = 0.0 if _JUMP <= which < _RAMP else best[which]
+        self._helpless = self._helpless + 1 if which != _TURN and best[which] > level else 0
+        if self._learned and not turning and self.score > level:
             self.restart()
             self.returned = True
             return
         if (
-            best[which] > self._level
+            best[which] > level
             and best[which] > others + _MARGIN
             and (which != 2 or self._field_noise > 0.0)
         ):
