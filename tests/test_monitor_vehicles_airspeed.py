@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adapters.batch import Batch
-from adapters.errors import TelemetryError
+from adapters.errors import ModelError, TelemetryError
 from adapters.logs.recordings import packed
 from adapters.message import Message
 from adapters.sample import Given, Samples, joined_samples
@@ -218,6 +218,13 @@ def test_a_plane_without_a_sensor_or_gps_has_no_such_observer() -> None:
     without = [message for message in told(flown(60.0)) if message.name != "GPS_RAW_INT"]
     hears = [Message(MAVLINK, "HIGHRES_IMU", m.received_ns, imu(k), 1, 1) for k, m in enumerate(without)]
     assert fit_airspeed(request(list(packed([*without, *hears]))), GATE) is None
+
+
+def test_flights_that_climb_and_dive_all_the_time_tell_nothing() -> None:
+    samples = flown(60.0)
+    samples.u[:, 3] = 200.0 * np.abs((np.arange(len(samples.u)) / 100.0) % 2.0 - 1.0)
+    with pytest.raises(ModelError, match="s of flight with evidence for airspeed; 20 s are needed"):
+        fit_airspeed(request(list(packed(told(samples)))), GATE)
 
 
 @pytest.mark.parametrize(("present", "watched"), [(0x10, True), (0x1, False)])

@@ -62,6 +62,11 @@ def fit_expectations(
     It has the name of the transform's kind. Channels of one unit share a level: one may have shown in healthy flight
     what another has not. ``times`` is how long evidence has to last, ``B`` as in :func:`expectation_plant`.
     ``alarms_per_hour`` is the rate of false alarms of each channel; None: the channels share the observer's.
+
+    Raises
+    ------
+    ModelError
+        Too little of the flights is evidence.
     """
     rule = source.transform or TransformRule("", rate_hz)
     flights = [transformed(flight, make_transform(rule, rate_hz)) for flight in raw]
@@ -71,6 +76,7 @@ def fit_expectations(
     flight_s = sum(len(flight.evidence) for flight in flights) / rate_hz
     fitted = Fitted(rule.kind, (gains,), source, IndependentRule(1.0 / rate_hz), plant=plant, flight_s=flight_s)
     evidence = healthy_evidence(fitted.profile(), gate, flights)
+    check_length(sum(map(len, evidence)), rate_hz, f"evidence for {', '.join(one.fault for one in expectations)}")
     share = alarms_per_hour or FALSE_ALARMS_PER_HOUR / len(expectations)
     alarms = []
     for unit in dict.fromkeys(one.unit for one in expectations):
