@@ -102,12 +102,12 @@ def test_why_payloads_are_passed_over_is_logged_once_for_each_key(
         collect(link, 1)
         assert (link.statistics().malformed, link.statistics().undefined) == (12, 3)
     said = sorted(record.getMessage().replace(", and more like it", "") for record in caplog.records)
-    assert said[0].startswith("payload of t/imu passed over: ")
+    assert said[0].startswith("payload of t/imu skipped: ")
     assert said[1:] == [
-        "payload of t/list passed over: not a JSON object",
-        "payload of t/odometry passed over: CDR, and no definition of px4_msgs/VehicleOdometry",
-        "payload of t/plain passed over: not JSON; if it is CDR, name its type in [zenoh_types]",
-        "payload of t/text passed over: not JSON",
+        "payload of t/list skipped: not a JSON object",
+        "payload of t/odometry skipped: CDR, and no definition of px4_msgs/VehicleOdometry",
+        "payload of t/plain skipped: not JSON; if it is CDR, name its type in [zenoh_types]",
+        "payload of t/text skipped: not JSON",
     ]
 
 

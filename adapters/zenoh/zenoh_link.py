@@ -140,7 +140,7 @@ class ZenohLink:
         """Log why a payload was discarded: only the first of each key, since its sender will send more of them."""
         if key not in self._logged and len(self._logged) < _MAX_LOGGED:
             self._logged.add(key)
-            logging.getLogger(__name__).warning("payload of %s passed over, and more like it: %s", key, error)
+            logging.getLogger(__name__).warning("payload of %s skipped, and more like it: %s", key, error)
 
     def statistics(self) -> ZenohLinkStatistics:
         """Return the counts so far."""
