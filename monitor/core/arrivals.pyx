@@ -137,7 +137,7 @@ cdef class Arrivals:
         return 0
 
     cdef int _mark_reports(self, phase) except -1:
-        """Mark heartbeats, and the messages that say something new about the flight phase."""
+        """Mark heartbeats, and the messages that change the flight phase."""
         if not self._reports:
             return 0
         follower = phase.copy()
@@ -152,7 +152,7 @@ cdef class Arrivals:
         return 0
 
     cdef int _close_up(self, Py_ssize_t kept) except -1:
-        """Number the messages that matter without the others between them."""
+        """Number the messages that matter consecutively."""
         cdef Py_ssize_t i, k = 0, first = 0
         cdef Py_ssize_t[::1] ends
         cdef int64_t[::1] places
@@ -186,7 +186,7 @@ cdef class Arrivals:
         return 0
 
     def message(self, Py_ssize_t i):
-        """Return a message; one of columns without its fields where it neither says the flight phase nor commands."""
+        """Return a message; one of columns has its fields only if it is a report on the flight phase or a command."""
         cdef Arrival* arrival = self._arrivals + i
         owner = self._owners[arrival.owner]
         if isinstance(owner, Message):
@@ -197,7 +197,7 @@ cdef class Arrivals:
         return report
 
     def reports(self, Py_ssize_t start, Py_ssize_t stop):
-        """Return the messages start <= i < stop of the flight phase, in their order."""
+        """Return the reports on the flight phase among the messages start <= i < stop, in order."""
         return [self._reports[i] for i in sorted(self._reports) if start <= i < stop]
 
     def received_ns(self, Py_ssize_t i):
@@ -216,10 +216,10 @@ cdef class Arrivals:
         int64_t set_back_ns,
         Py_ssize_t most,
     ):
-        """Return how far the segment that a message begins reaches.
+        """Return the extent of the segment that a message begins.
 
-        It ends before the next message that does more than bring measurements: one from which something follows by its
-        kind, by its time, or by the silence before it.
+        It ends before the next message that does more than bring measurements, because of its kind, its time, or the
+        silence before it.
 
         Parameters
         ----------
@@ -238,7 +238,7 @@ cdef class Arrivals:
         set_back_ns : int
             How much earlier a message shows that the clock was set back.
         most : int
-            Index of the first message that it does not reach.
+            Index of the first message that it may not contain.
         """
         cdef int64_t carried = 0 if carried_ns is None else carried_ns
         cdef Py_ssize_t stop = start + 1, carrier = start if self._arrivals[start].marks & CARRIES else -1
@@ -263,12 +263,12 @@ cdef class Arrivals:
 
 
 class Segment(NamedTuple):
-    """How far a segment reaches, and what is known at its end.
+    """The extent of a segment, and what is known at its end.
 
     Parameters
     ----------
     stop : int
-        Index of the first message behind it.
+        Index of the first message after it.
     carried_ns : int
         When a channel was carried last.
     carrier : int

@@ -1,10 +1,10 @@
 # cython: language_level=3
-"""What the strapdown transform uses of the navigation, and what both take a heading for."""
+"""The declarations of the navigation, and of headings, for the strapdown transform."""
 
 from libc.math cimport M_PI, fabs, floor
 
-# Cosine of the pitch from which on a heading is not compared: errors of the attitude count twice in it at 60 degrees,
-# and beyond it without bound; at the vertical a heading is none.
+# Headings are compared up to this cosine of the pitch, 60 degrees, where errors of the attitude count twice; beyond it
+# they grow without bound, and at the vertical there is no heading.
 cdef inline bint is_steep(double cosine) noexcept:
     return fabs(cosine) < 0.5
 
@@ -21,12 +21,12 @@ cdef inline void cross(const double* a, const double* b, double* product) noexce
 
 
 cdef inline double along(const double* R, const double* v, int axis) noexcept:
-    """Return how far a vector of the body points along an axis, north, east or down, of an attitude R."""
+    """Return the component of a body vector along an axis (north, east, down) at an attitude R."""
     return R[3 * axis] * v[0] + R[3 * axis + 1] * v[1] + R[3 * axis + 2] * v[2]
 
 
 cdef inline double field_rate(const double* R, const double* rate, const double* field) noexcept:
-    """Return by how much a field that is later, measured in body axes, turns about the vertical, rad per second."""
+    """Return the rotation about the vertical, rad/s, by which a field's direction is off per second of delay."""
     cdef double[3] turned
     cdef double north = along(R, field, 0), east = along(R, field, 1)
     cross(rate, field, turned)
@@ -43,59 +43,58 @@ cdef struct Signature:
     double[HYPOTHESES][STATES] state
     double[HYPOTHESES] matched
     double[HYPOTHESES] energy
-    # biases of gyros and accelerometers at the onset, and their variances
+    # Biases of gyros and accelerometers at the onset, and their variances.
     double[5] bias
     double[5] variance
-    # how long ago it was, s
+    # Time since the onset, s.
     double age_s
 
 
 cdef class Navigation:
     cdef double _dt, _level
     cdef int _every, _ticks, _count, _helpless
-    # time since the fix before, s
+    # Time since the fix before, s.
     cdef double _step_s
-    # whether it has begun, and whether the autopilot's heading is another one
+    # Whether it has begun; whether the autopilot's heading is not used.
     cdef bint _begun, _turned
     cdef double[9] _R
     cdef double[3] _rate
     cdef double[3] _force
-    # Of the gyros and then of the accelerometers: by how much each changed over the tick before, and the variance of
-    # its noise.
+    # Of gyros, then accelerometers: the change over the tick before, and the variance of the noise.
     cdef double[6] _change
     cdef double[6] _noise
-    # The force in the axes of the gyros, how it turns with them, north, east, down, and how late they are.
+    # The force in the body's axes at the gyros' time; its change per second of delay, north, east, down; that delay.
     cdef double[3] _aligned
     cdef double[3] _swing
     cdef double _late_s
     cdef double[2] _velocity
-    # By how much the GPS's velocity is off, by how much more each second, and whether it ramped there; how far the
-    # newest velocity or field was off that may be a step, and for how many of them that has been so.
+    # Error of the GPS's velocity, its growth per second, and whether it ramps. Newest innovations of velocity and field
+    # that may be steps, and for how many comparisons they have been.
     cdef double[2] _offset
     cdef double[2] _drift
     cdef bint[2] _led
     cdef double[3] _stepped
     cdef int[3] _held
-    # The magnetic field: its measurement, where it points from north, what is taken for its declination and for its
-    # strength, for how long it has been so again after it jumped, and how errors of the attitude about north and east
-    # and a delay turn it; how late it is against the gyros, as fitted and as found; the largest rate of late.
+    # The magnetic field: fitted delay behind the gyros, its timing error, noise and random walk of its direction; its
+    # direction from north; estimated declination and usual strength; how long it has been as before since a jump, and
+    # its direction then; estimated delay; largest rate of late.
     cdef double _field_delay_s, _field_timing_s, _field_noise, _field_walk, _direction, _declined, _strength
     cdef double _back_s, _back_off, _field_late_s, _whirl
-    # for how long the IMU has lacked; for how long yet a field may be older than its tick, as measurements were lost
+    # For how much longer a field may be older than its tick, as measurements were lost.
     cdef double _lined_s
-    # whether a gyro was at fault, whose bias an estimator may have learned
+    # Whether a gyro was faulty, whose bias an estimator may have learned.
     cdef bint _learned
     cdef double[3] _field
     cdef double[2] _tilting
     cdef double _turning
     cdef bint _pointed, _aimed
-    # The largest horizontal acceleration of late; the variance of the noise of the GPS's velocity, and how far that was
-    # off north and east in the newest two comparisons.
+    # The largest horizontal acceleration of late; the variance of the noise of the GPS's velocity; its innovations
+    # north and east in the last two comparisons.
     cdef double _sharp, _speed_noise
     cdef double[2][2] _off
     cdef double[3] _missed
-    # Biases: of the gyros x, y, z, of the accelerometers x, y; what each was before a fault, the variance of that, and
-    # whether it has one.
+    # Of the gyros x, y, z and the accelerometers x, y: biases; biases before a fault, and their variances; whether
+    # there is a fault.
     cdef double[5] _bias
     cdef double[5] _before
     cdef double[5] _doubt
@@ -105,9 +104,10 @@ cdef class Navigation:
     cdef double[STATES][STATES] _Q
     cdef Signature[ONSETS] _signatures
     cdef readonly double score
-    # Whether the magnetic field jumped and has not come back.
+    # Whether the magnetic field has jumped and is not back yet.
     cdef bint strayed
-    # Whether a ramp of the GPS's velocity or the trace of a gyro's fault is over: what was washed out then is void.
+    # Whether a ramp of the GPS's velocity or the effect of a gyro's fault has ended: washed-out values from before are
+    # void.
     cdef bint returned
 
     cdef void restart(self) noexcept

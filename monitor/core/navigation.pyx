@@ -1,49 +1,48 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""Strapdown navigation with an attitude and biases of its own, and the sensor that broke if it leaves the GPS.
+"""Strapdown navigation with its own attitude and biases, and isolation of the sensor that makes it differ from the GPS.
 
-Attitude R and horizontal velocity v are integrated from gyros and accelerometers less their biases, and a Kalman filter
-corrects them by the velocity of the GPS and the direction of the magnetic field m. With d the error of the attitude
-about north, east and down and f the specific force,
+Attitude R and horizontal velocity v are integrated from gyros and accelerometers minus their biases. A Kalman filter
+corrects them by the GPS's velocity and the direction of the magnetic field m. With d the error of the attitude about
+north, east and down and f the specific force,
 
-    d' = -R b_gyro,    v' = d x R f - R b_accel + R (w x f) tau,    b_gyro and b_accel random walks as slow as those of
-    healthy sensors.
+    d' = -R b_gyro,    v' = d x R f - R b_accel + R (w x f) tau,
 
-Gyros are later than accelerometers by tau, a constant: autopilots filter both, and not alike (ArduPilot's rover at 4
-and 10 Hz: 0.04 s). As the vehicle turns at w its force f then points elsewhere. In steady turns a GPS that is later
-than fitted does the same, and is followed there.
+with b_gyro and b_accel random walks, as slow as those of healthy sensors. tau, a constant, is the delay of the gyros
+behind the accelerometers, which autopilots filter differently (ArduPilot's rover at 4 and 10 Hz: 0.04 s): while the
+vehicle turns at w, its force f has another direction by then. A GPS that is later than fitted has the same effect in
+steady turns, and is covered by tau there.
 
-The field R m lies h west of north, by the declination and by what the vehicle itself adds, a random walk as well. An
-error of the attitude turns it by d_down - (m_down / m_horizontal^2) (m_north d_north + m_east d_east). A gyro z that is
-wrong turns it steadily, a magnetometer that is wrong at once. By how much it is later than these gyros is a constant
-(the fitted delay is that against the autopilot's attitude, too, which is not as late as they are) that shows as the
-vehicle turns. The autopilot's heading follows both and is no witness: where no magnetic field is measured it keeps R
-from drifting, and gyro z is not judged.
+The field R m points h west of north: declination and the vehicle's own field, a random walk as well. An error of the
+attitude turns it by d_down - (m_down / m_horizontal^2) (m_north d_north + m_east d_east). A faulty gyro z turns it
+steadily, a faulty magnetometer at once. Its delay behind these gyros is an estimated constant, which shows in turns
+(the fitted delay is relative to the autopilot's attitude, which is less late than the gyros). The autopilot's heading
+follows gyro and magnetometer, so it is no evidence: without a magnetic field it keeps R from drifting, and gyro z is
+not judged.
 
-A fault of size theta since t_0 adds theta s(t; t_0) to the innovations, where the signature s is known from the
-filter's own gains (Willsky and Jones 1976): a bias of a gyro tilts the attitude and bends the velocity away by the
-square of time, one of an accelerometer at once in proportion to it, and both turn with the body, which an error of the
-GPS's velocity does not. For every hypothesis and onset of the latest seconds
+A fault of size theta since t_0 adds theta s(t; t_0) to the innovations. The signature s follows from the filter's gains
+(Willsky and Jones 1976): a gyro's bias tilts the attitude, so the velocity error grows with the square of time; an
+accelerometer's bias makes it grow in proportion to time; both turn with the body, an error of the GPS's velocity does
+not. For every hypothesis and onset of the last seconds
 
     l = (sum s' S^-1 nu)^2 / (2 (sum s' S^-1 s + 1 / sigma^2))
 
-is how much likelier the innovations are with that fault, whose size has the standard deviation sigma, than without
-(natural logarithm). A hypothesis is believed when its largest l is beyond a level and beyond those of all others; its
-fault is then put into the state, with its uncertainty, and is followed there until it is small. Its size f^ = b^(t) -
-b^(t_0) is the bias less that at the onset: what the filter has followed of the fault before it was believed is a part
-of it, and both biases are uncertain,
+is the log-likelihood ratio of that fault, with standard deviation sigma of its size, against health. A hypothesis is
+believed if its largest l is above a level and above those of all others. Its fault is then added to the state, with its
+uncertainty, and estimated until it is small. Its size f^ = b^(t) - b^(t_0) includes what the filter had estimated of
+the fault before it was believed. Its variance is
 
     var f^ = P_b(t) + P_b(t_0) - 2 cov <= P_b(t) + P_b(t_0),
 
-as errors of a bias that walks slowly have one sign (cov >= 0); the bound is what is given out.
+since errors of a slow bias keep their sign (cov >= 0); the bound is returned.
 
-An autopilot learns the bias of a gyro and takes it off what it sends, which looks like the fault's end. The end itself
-then comes unannounced, is learned as well, and leaves a tilt that looks like any fault of these. So what looks like one
-first after a gyro's accuses nothing, and all begins anew from the autopilot's attitude: a fault is still there then.
+An autopilot learns a gyro's bias and subtracts it from its messages, which looks like the end of the fault. The true
+end is learned too, and leaves a tilt that looks like any of these faults. So the first apparent fault after a gyro's is
+not reported; the navigation begins anew from the autopilot's attitude, where a true fault still shows.
 
-A velocity of the GPS that ramps is followed as such, with what the filter had learned from it taken back, until a step
-leads back: position and velocity of a receiver that was led away are then right at once.
+A ramp of the GPS's velocity is estimated too, after removing its effect on the filter, until a step leads back: then
+position and velocity of the receiver are right at once.
 
-In hover a tilt and a bias of an accelerometer cannot be told apart; what tells is that no gyro turned.
+In hover a tilt and an accelerometer's bias look the same; the gyros tell them apart, as a tilt needs a rotation.
 """
 
 from libc.math cimport INFINITY, atan2, cos, fabs, fmax, fmin, hypot, sin, sqrt
@@ -56,102 +55,103 @@ from monitor.core.sampling import RAW_LINE_S
 
 cdef double _GRAVITY = STANDARD_GRAVITY
 
-# Errors at the start: of an attitude that an autopilot has, about the horizontal axes and of its heading, rad; of the
-# velocity, m/s; of gyros (a degree per second is 0.017) and accelerometers as autopilots have calibrated them; how far
-# the magnetic field is from where it was first seen, rad, thrice what one measurement of a noisy one may be off; how
-# late the gyros are, s: half of what an autopilot's filters of 4 and 10 Hz make. (How late the field is has its own.)
+# Standard deviations at the start: errors of an autopilot's attitude, about the horizontal axes and in heading, rad; of
+# the velocity, m/s; of gyros (1 degree/s is 0.017 rad/s) and accelerometers as calibrated by autopilots; direction of
+# the magnetic field against its first measurement, rad, three times the error of one noisy measurement; delay of the
+# gyros, s, half of the difference between filters of 4 and 10 Hz. (The delay of the field has its own.)
 cdef double[12] _START = [0.02, 0.02, 0.1, 0.1, 0.1, 0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.02]
-# Random walks per root of a second: of attitude and velocity, the least that vibration and the straight lines between
-# samples leave; of the biases, what warms up by 0.01 rad/s and by half a metre per second squared within some hours.
+# Random walks per root of a second: of attitude and velocity, the least that vibration and lines between samples make;
+# of the biases, a change by 0.01 rad/s and 0.5 m/s^2 in some hours of warming up.
 cdef double[4] _WALK = [1e-3, 0.05, 1e-4, 5e-3]
-# Noise and vibration make second differences of six times their variance, of which half are below 0.455 times that;
-# motion makes large ones, but seldom. Followed by a factor of e within a second, as long as propellers take to change.
+# Second differences of noise and vibration have six times its variance; half of their squares are below 0.455 times
+# that. Motion makes large ones, but seldom. The estimate changes by a factor of e within a second, as propellers do.
 cdef double _HALF_BELOW = 6.0 * 0.455
 cdef double _NOISE_S = 1.0
-# Noise of a GPS's velocity, m/s: the least that is believed, and what is assumed at the start (data sheets say 0.05 to
-# 0.1, 50 % circular). It is followed by second differences as that of the gyros, but five fixes a second tell less:
-# down by a factor of e within 4 s, and up three times as fast, as a reception that gets worse would look like a fault.
-# So a quarter of them is above the level, 1.323 times their variance.
+# Noise of a GPS's velocity, m/s: smallest value and first assumption (data sheets: 0.05 to 0.1, 50 % circular). It is
+# followed by second differences as that of the gyros; with five fixes a second, down by a factor of e within 4 s, and
+# up three times as fast, as worse reception would look like a fault. So three quarters of the squares are below the
+# level, 1.323 times the variance.
 cdef double[2] _SPEED_NOISE = [0.05, 0.1]
 cdef double _SCATTER_S = 4.0
 cdef double _THREE_QUARTERS_BELOW = 6.0 * 1.323
-# How late or early a fix may be against the accelerometers, s: half of the step of the delays that a fit tries (0.02)
-# and half of the tick that the fix lies in (0.02 at 25 Hz), as independent errors; on a line over lost fixes a quarter
-# of its length.
+# Timing error of a fix against the accelerometers, s: half of the step of delays that a fit tries (0.02) and half of
+# the tick that contains the fix (0.02 at 25 Hz), independent; on a line over lost fixes a quarter of its length.
 cdef double _TIMING_S = 0.03
 # Noise of the autopilot's heading, rad.
 cdef double _HEADING_NOISE = 0.1
-# How late or early the field may be against the gyros, s: half of the step of the delays that a fit tries.
+# Timing error of the field against the gyros, s: half of the step of delays that a fit tries.
 cdef double _FIELD_TIMING_S = 0.02
-# The same where flights showed no delay, as hovering does not: the deviation of any of those tried (0.28 s).
+# The same if flights did not show the delay, as in hover: the standard deviation of all delays tried (up to 0.28 s).
 cdef double _FIELD_UNTOLD_S = 0.08
-# How late it may be around lost measurements, s: as long as the longest line that counts as measured.
+# The same around lost measurements, s: the longest line that counts as measured.
 cdef double _LINE_S = RAW_LINE_S
-# Least step of the field's direction, rad, that is a compass at fault: half of the smallest that is worth an alarm.
+# Smallest step of the field's direction, rad, that is a faulty compass: half of the smallest fault worth an alarm.
 cdef double _FIELD_LEAST = 0.09
-# The same of the GPS's velocity, m/s: the least motion that is worth an alarm.
+# Smallest step of the GPS's velocity, m/s: the smallest motion worth an alarm.
 cdef double _SPEED_LEAST = 1.0
-# Standard deviations that no measurement is off by (one in two million).
+# Largest error of a measurement in standard deviations (exceeded once in two million).
 cdef double _OUTLIER = 5.0
-# Share of each measurement in its usual strength: forgotten in 40 s. One that is off by as large a share tells nothing.
+# Weight of a measurement in the field's usual strength: a memory of 40 s.
 cdef double _STRENGTH_SHARE = 0.005
-# For how long it has to point as before, and to be as strong, to be a witness again, seconds, and by how much it may
-# turn otherwise than the gyros meanwhile, rad. Chosen: a vehicle that turns with a field of its own passes the true
-# heading twice in each turn, within less time or by more; after a gyro's fault it is the attitude that still moves.
+# Time for which the field has to point as before, with its former strength, until it is used again, seconds, and by how
+# much it may turn differently from the gyros meanwhile, rad. Chosen: a vehicle that turns with a field of its own
+# passes the true heading twice in each turn, for less time or by more; after a gyro's fault the attitude is still
+# changing.
 cdef double _BACK_S = 2.0
 cdef double _BACK_LEAST = 0.5 * _FIELD_LEAST
-# Share of the accelerations' peak that is left a step later. Chosen: .8 of .2 s forgets a hard stop within a second.
+# Factor by which the held peak of accelerations decays per step. Chosen: 0.8 each 0.2 s forgets a hard stop within a
+# second.
 cdef double _PEAK_KEPT = 0.8
-# By how much a hypothesis has to be likelier than any other: 20 to 1.
+# Margin of the believed hypothesis above any other, nats: 20 to 1.
 cdef double _MARGIN = 3.0
-# By how much less likely a ramp of the GPS's velocity is that goes the way of an accelerometer, before anything is
-# measured: a ramp goes anywhere, and a likelihood l tells ways apart by 1 / sqrt(2 l) rad, 0.1 for 50. Within that of
-# one of four ways are 0.8 of the 6.3 rad: 1 in 8.
+# Prior of a ramp of the GPS's velocity in the direction of an accelerometer's fault, nats: ramps may go anywhere, and a
+# likelihood l separates directions by 1 / sqrt(2 l) rad, 0.1 for 50. 0.8 of the 6.3 rad are within that of one of four
+# directions: 1 in 8.
 cdef double _COINCIDENCE = 2.0
-# By how much it has to be likelier that a fault has just ended than that it goes on: 150 to 1; faults do end.
+# A fault has ended if that is likelier by this than that it goes on, nats: 150 to 1, as faults do end.
 cdef double _ENDED = 5.0
-# Share of what another fault explains that the end of one has to explain. Measured on five flights with a gyro's fault:
-# with 1 one end of five is known 2.2 s later; a vehicle that is thrown about by a fault ends it after 7, 20 and 35 of
-# 40 s with 0, 0.5 and 0.75.
+# Share of another fault's likelihood that the end of a fault has to reach. Measured on five flights with a gyro's
+# fault: with 1 one end of five is recognised 2.2 s later; in a vehicle that a fault throws about a false end is seen
+# after 7, 20 and 35 of 40 s with 0, 0.5 and 0.75.
 cdef double _BETTER = 0.75
-# Least bias that is believed, of gyros (rad/s) and accelerometers (m/s^2): what healthy ones drift by.
+# Smallest bias that is believed, of gyros (rad/s) and accelerometers (m/s^2): the drift of healthy ones.
 cdef double[2] _LEAST = [0.01, 0.25]
-# Least ramp of the GPS's velocity that is believed, m/s^2: what a tilt of 10 mrad makes of gravity.
+# Smallest ramp of the GPS's velocity that is believed, m/s^2: the effect of a tilt of 10 mrad.
 cdef double _LEAST_RAMP = 0.1
-# For how long it has lasted by then, s: within 2.5 s the end of a gyro's or an accelerometer's fault is known, which
-# begins like one.
+# Least duration of a believed ramp, s: the end of a gyro's or an accelerometer's fault, which begins alike, is known
+# within 2.5 s.
 cdef double _RAMPS_S = 3.0
-# Largest bias that is believed, rad/s and m/s^2: what is more is no navigation of this flight any more. Chosen: ten and
-# six times those of which flights were recorded; with it no autopilot keeps the vehicle in the air.
+# Largest bias that is believed, rad/s and m/s^2; with a larger one the navigation begins anew. Chosen: ten and six
+# times those in recorded flights; no autopilot keeps a vehicle in the air with them.
 cdef double[2] _MOST = [1.0, 4.0]
-# The largest is so many standard deviations of the sizes that faults have; those of the GPS's ramps are taken as those
-# of accelerometers. Where the filter follows a fault as fast as it grows, little is left to tell its size by: 0.1 m/s
-# that are off for another reason then look like 2.5 m/s^2, five times the standard deviation of that estimate.
+# Largest bias in standard deviations of the sizes of faults; sizes of the GPS's ramps are taken to scatter as those of
+# accelerometers. Without this prior, where the filter follows a fault as fast as it grows, an unrelated difference of
+# 0.1 m/s would look like 2.5 m/s^2, five times the standard deviation of that estimate.
 cdef double _SIGMAS = 3.0
-# A heading this far off, rad, is that of another start: the autopilot has set its attitude anew, to a right one or to a
-# wrong one. It counts again when the way that the vehicle goes agrees with it, within twice its noise.
+# A heading that differs by more, rad, means that the autopilot has set its attitude anew, rightly or wrongly. It is
+# used again when it agrees with the direction of motion within twice its noise.
 cdef double _TURNED = 0.5
-# Steps with a fault that no hypothesis tells until the filter begins anew: a second set of onsets.
+# Steps with a likely fault, of which no hypothesis can be believed, until the filter begins anew: two sets of onsets.
 cdef int _HELPLESS = 2 * ONSETS
-# Fixes that tell a step from a turn: the line from one measurement to the next may hide it in the first of them.
+# Fixes by which a step is told from a turn: the line between two measurements may hide it in the first of them.
 cdef int _STEPS = 3
-# Steps between two onsets. Of the newest steps each is an onset: a jump explains no measurement before its onset, and
-# the first one after it best, so that with an onset a step off a fault of a sensor explains it better. Chosen: within
-# four steps a jump leaves all else behind.
+# Steps between two onsets; each of the newest steps is an onset. A jump explains no measurement before its onset, and
+# the first one after it best: with an onset one step off, a sensor's fault would explain it better. Chosen: within four
+# steps a jump is clear of all other hypotheses.
 cdef int _SPACING = 2
 cdef int _DENSE = 4
-# Level from which a jump of the GPS's velocity is believed, as a touchdown makes one: the least level of a fault
-# (_LEAST_LEVEL of the fit). Healthy flights do not raise it, as a jump accuses no sensor.
+# Level from which a jump of the GPS's velocity, as at a touchdown, is believed: the least level of a fault
+# (_LEAST_LEVEL of the fit). Healthy flights do not raise it, as a jump makes no sensor responsible.
 cdef double _JUMPED = 12.1
-# Share of the usual time between two comparisons with the GPS after which the filter compares with a fix, and after
-# which with a point of the line between two fixes. Chosen: it compares with each fix of a receiver of 5 Hz and with
-# each second one of 10 Hz; on the line only where no fix is seen, as at constant velocity.
+# Shares of the usual time between two comparisons after which the filter compares with a fix, and with a point of the
+# line between two fixes. Chosen: each fix of a receiver at 5 Hz and each second one at 10 Hz; a point of the line only
+# if no fix is seen, as at constant velocity.
 cdef double _SOONEST = 0.7
 cdef double _LATEST = 1.5
 
 cdef enum:
-    # Indices of the states, and of the hypotheses: biases first, as the states are; then jumps of velocity and of the
-    # field's direction, and ramps of velocity.
+    # Indices of states and hypotheses: biases first, as in the state; then jumps of the velocity and of the field's
+    # direction, and ramps of the velocity.
     _V = 3
     _BG = 5
     _BA = 8
@@ -171,12 +171,12 @@ cdef class Navigation:
     dt : float
         Time between ticks, seconds.
     every : int
-        Ticks between two fixes that are compared: as often as a receiver gives new ones.
+        Ticks between two fixes that are compared: the usual time between two fixes.
     level : float
-        Logarithm of the likelihood from which a fault is believed.
+        Log-likelihood ratio from which a fault is believed.
     field_delay_s, field_noise, field_walk : float
-        By how much the magnetic field is late against the gyros, seconds; noise of its direction, rad, 0: none is
-        measured; random walk of that, rad per root of a second.
+        Delay of the magnetic field behind the gyros, seconds; noise of its direction, rad (0: it is not measured);
+        random walk of the direction, rad per root of a second.
     """
 
     def __init__(
@@ -195,12 +195,12 @@ cdef class Navigation:
 
     @property
     def biases(self):
-        """Return what the gyros x, y, z and the accelerometers x, y read too much, as the filter has it (5,)."""
+        """Return the biases of the gyros x, y, z and the accelerometers x, y by the filter (5,)."""
         return tuple(self._bias)
 
     @property
     def faults(self):
-        """Return the same of those that are held responsible for a fault, zero of the others."""
+        """Return the faults of those that are held responsible, zero for the others (5,)."""
         return tuple([self.fault(which) for which in range(5)])
 
     cdef void restart(self) noexcept:
@@ -241,11 +241,11 @@ cdef class Navigation:
         self, const double* force, const double* rate, const double* mean, const double* R, const double* field,
         const double* hidden, bint lined, double ahead, double* acceleration
     ) noexcept:
-        """Go on by a tick; fill in the acceleration north, east, down.
+        """Process a tick; fill in the acceleration north, east, down.
 
-        ``mean`` is the rate over the tick, ``hidden`` are variances of what a straight line hides of the velocity
-        north, east and down in it, and of the angles about the body's axes. ``ahead`` is the newest horizontal
-        acceleration, of a later time than ``force``: a fix that is late against it may hold a part of its motion.
+        ``mean`` is the rate over the tick. ``hidden`` are the variances that a straight line hides in this tick, of the
+        velocity north, east and down, and of the angles about the body's axes. ``ahead`` is the newest horizontal
+        acceleration, later than ``force``: a late fix may contain part of its motion.
         """
         cdef double[9] turned
         cdef double[3] turn
@@ -282,7 +282,7 @@ cdef class Navigation:
             a[i], self._swing[i], specific[i] = along(turned, aligned, i), along(turned, swing, i), 0.0
             for j in range(3):
                 specific[i] += 0.5 * (turned[3 * i + j] * aligned[j] + self._R[3 * i + j] * self._aligned[j])
-            # what it is at the tick's end, and by how much it changed over the tick
+            # At the tick's end.
             acceleration[i] = a[i] + (_GRAVITY if i == 2 else 0.0)
         if first:
             self._begun = True
@@ -328,7 +328,7 @@ cdef class Navigation:
         return self._ticks >= self._every * (_SOONEST if measured == 1.0 else 1.0 if measured else _LATEST)
 
     cdef void align(self, const double* force, const double* rate, double* aligned, double* swing) noexcept:
-        """Fill in a force less biases, in the body's axes that the gyros have meanwhile, and how these turn it."""
+        """Fill in a force minus biases, in the body's axes at the gyros' time, and its change per second of delay."""
         cdef double[3] w
         cdef double[3] f
         cdef int j
@@ -340,16 +340,17 @@ cdef class Navigation:
             aligned[j] = f[j] + self._late_s * swing[j]
 
     cdef void shake(self, int k, double change) noexcept:
-        """Follow the variance of the noise of gyro k or accelerometer k - 3, which changed by so much over the tick."""
+        """Follow the variance of the noise of gyro k or accelerometer k - 3, which changed by ``change`` over the
+        tick."""
         cdef double second = change - self._change[k], walk = _WALK[k >= 3]
         self._change[k] = change
         self._noise[k] *= 1.0 + (self._dt if second * second > _HALF_BELOW * self._noise[k] else -self._dt) / _NOISE_S
         self._noise[k] = fmax(self._noise[k], walk * walk / self._dt)
 
     cdef void scatter(self, double second, double variance) noexcept:
-        """Follow the noise of the GPS's velocity by a second difference of what it was off by.
+        """Follow the noise of the GPS's velocity by a second difference of its innovations.
 
-        ``variance`` is that of noise and timing. Where the latter is the larger part it hides that there is less noise.
+        ``variance`` is that of noise and timing. If timing is the larger part, the noise cannot be told to be less.
         """
         cdef double share = self._step_s / _SCATTER_S
         if second * second > _THREE_QUARTERS_BELOW * variance:
@@ -359,7 +360,7 @@ cdef class Navigation:
         self._speed_noise = fmax(self._speed_noise, _SPEED_NOISE[0] * _SPEED_NOISE[0])
 
     cdef double shaken(self, int axis, int first) noexcept:
-        """Return what noise of gyros (first 0) or accelerometers (3) adds about an axis over a tick, as a variance."""
+        """Return the variance that noise of gyros (first 0) or accelerometers (3) adds about an axis over a tick."""
         cdef double variance = 0.0
         cdef int j
         for j in range(3):
@@ -367,7 +368,8 @@ cdef class Navigation:
         return variance * self._dt * self._dt
 
     cdef void point(self, const double* field, const double* R) noexcept:
-        """Follow where the magnetic field points by the attitude of this tick, or without one the heading R."""
+        """Find the direction of the magnetic field by the attitude of this tick; without a field, that of the heading
+        of R."""
         cdef double[9] then
         cdef double[3] north
         cdef double[3] turned
@@ -380,7 +382,7 @@ cdef class Navigation:
         if memcmp(field, self._field, sizeof(self._field)) == 0:
             return
         memcpy(self._field, field, sizeof(self._field))
-        # the attitude at which it was measured, by what the body turned since
+        # The attitude at which it was measured: the body has turned since.
         for i in range(3):
             rate[i] = self._rate[i] - self._bias[i]
             turned[i] = -self._field_late_s * rate[i]
@@ -394,7 +396,7 @@ cdef class Navigation:
             self._turning = field_rate(then, rate, field)
 
     cdef void advance(self, double* m, int apart, const double* f) noexcept:
-        """Multiply a column of a matrix from the left with the tick's transition, or a row with its transpose."""
+        """Multiply a column of a matrix by the tick's transition from the left, or a row by its transpose."""
         cdef double[2] v
         cdef int i
         v[0] = self._dt * (f[2] * m[apart] - f[1] * m[2 * apart])
@@ -412,7 +414,8 @@ cdef class Navigation:
             )
 
     cdef void meet(self, const double* velocity, double line_s) noexcept:
-        """Compare with a fix, on a line so long over lost ones, and the field's direction; correct and judge."""
+        """Compare with a fix, on a line of ``line_s`` over lost ones, and with the field's direction; correct and
+        judge."""
         cdef double[3] innovation
         cdef double[3] variance
         cdef Signature* newest
@@ -420,7 +423,7 @@ cdef class Navigation:
         cdef bint steps = False
         cdef int i, h, older
         if self._ticks == 0:
-            # the first tick: nothing to compare yet
+            # The first tick: nothing to compare yet.
             self._velocity[0], self._velocity[1] = velocity[0], velocity[1]
             return
         self._step_s = self._ticks * self._dt
@@ -435,7 +438,7 @@ cdef class Navigation:
                 self.scatter(innovation[i] - 2.0 * self._off[i][0] + self._off[i][1], variance[i])
             self._off[i][1], self._off[i][0] = self._off[i][0], innovation[i]
         if steps:
-            # north and east are of one device
+            # North and east belong to one receiver.
             for i in range(2):
                 if self._held[i] == _STEPS:
                     self.put_off(i, innovation[i])
@@ -481,7 +484,7 @@ cdef class Navigation:
         self._ticks = 0
 
     cdef bint believed(self) noexcept:
-        """Return whether the magnetic field tells the heading, and not that a compass is at fault."""
+        """Return whether the field's direction may correct the heading: no compass fault shows."""
         cdef double strength = sqrt(self._field[0] ** 2 + self._field[1] ** 2 + self._field[2] ** 2)
         cdef double turned = wrapped(self._direction - self._declined), off
         if not self._aimed:
@@ -501,14 +504,14 @@ cdef class Navigation:
         return not self.strayed and off < _FIELD_LEAST
 
     cdef double field_spread(self) noexcept:
-        """Return the variance of the field's direction by heading, declination and delay."""
+        """Return the variance of the field's direction due to heading, declination and delay."""
         return (
             self._P[2][2] + 2.0 * self._P[2][_H] + self._P[_H][_H]
             + self._turning * self._turning * self._P[_FIELD_LATE][_FIELD_LATE]
         )
 
     cdef bint steps(self, int m, double off, double variance, double least) noexcept:
-        """Return whether a measurement that is so far off may have stepped; the next two tell a step from a turn."""
+        """Return whether an innovation may be a step; the next two measurements tell it from a turn."""
         cdef double before = self._stepped[m]
         self._stepped[m] = off
         if fabs(off) < fmax(least, _OUTLIER * sqrt(variance)):
@@ -520,7 +523,7 @@ cdef class Navigation:
         return self._held[m] > 0
 
     cdef void put_off(self, int m, double size) noexcept:
-        """Take a step for one of the GPS's velocity; one that leads back ends what led it away, and it is right."""
+        """Apply a step of the GPS's velocity; one that leads back ends its fault, and the velocity is right again."""
         self._offset[m] += size
         if fabs(self._offset[m]) < 0.5 * fabs(size):
             self._velocity[m] += self._offset[m]
@@ -530,11 +533,11 @@ cdef class Navigation:
         self._count = 0
 
     cdef double led(self, int axis) noexcept:
-        """Return by how much the GPS's velocity north or east has been led away, which no jump tells."""
+        """Return the error of the GPS's velocity, north or east, by a ramp, which shows no jump."""
         return self._offset[axis] if self._begun and self._led[axis] else 0.0
 
     cdef void propagate(self) noexcept:
-        """Take covariance and signatures from the fix before to this one."""
+        """Predict covariance and signatures from the fix before to this one."""
         cdef double[STATES][STATES] half
         cdef double[STATES] moved
         cdef Signature* signature
@@ -565,11 +568,11 @@ cdef class Navigation:
             self._F[i][i] = 1.0
 
     cdef int onsets(self) noexcept:
-        """Return how many onsets there are."""
+        """Return the number of onsets."""
         return min(self._count, _DENSE + max(0, self._count - _DENSE + 1) // _SPACING, ONSETS)
 
     cdef void update(self, const double* innovation, const double* variance) noexcept:
-        """Go on by the measurements one after the other, the state and each signature."""
+        """Correct the state and each signature by the measurements, one after the other."""
         cdef double[STATES] gain
         cdef double[STATES] x
         cdef double[STATES] of_state
@@ -584,7 +587,7 @@ cdef class Navigation:
         for m in range(3):
             if variance[m] == INFINITY:
                 continue
-            # H of v, or of the field's direction
+            # H of v, or of the field's direction.
             if m < 2:
                 memset(H, 0, sizeof(H))
                 H[_V + m] = 1.0
@@ -599,7 +602,7 @@ cdef class Navigation:
                 S += H[i] * of_state[i]
                 nu -= H[i] * x[i]
             for i in range(STATES):
-                # The field corrects the heading alone: its error of a degree would tilt the attitude by half of that.
+                # The field corrects the heading only: an error of one degree would tilt the attitude by half a degree.
                 gain[i] = of_state[i] / S if m < 2 or i == 2 or i == _BG + 2 or i in (_H, _FIELD_LATE) else 0.0
             for k in range(n):
                 signature = &self._signatures[k]
@@ -622,14 +625,14 @@ cdef class Navigation:
         self.correct(x)
 
     cdef void turn_field(self, double* H) noexcept:
-        """Fill in how far each error of the state turns the field's direction."""
+        """Fill in the derivatives of the field's direction with respect to the state."""
         memset(H, 0, STATES * sizeof(double))
         H[0], H[1], H[2] = self._tilting[0], self._tilting[1], 1.0
         if self._field_noise > 0.0:
             H[_H], H[_FIELD_LATE] = 1.0, self._turning
 
     cdef void correct(self, const double* x) noexcept:
-        """Put an error of the state into the state."""
+        """Apply an error of the state to the state."""
         cdef double[9] R
         cdef double[9] E
         cdef double[3] turn
@@ -649,7 +652,7 @@ cdef class Navigation:
         self._field_late_s += x[_FIELD_LATE]
 
     cdef void judge(self) noexcept:
-        """Believe the fault that is by far the likeliest, or that one has ended."""
+        """Believe the fault that is by far the likeliest, or the end of one."""
         cdef double[HYPOTHESES] best
         cdef double[HYPOTHESES] end
         cdef int[HYPOTHESES] onset, ended
@@ -669,7 +672,7 @@ cdef class Navigation:
                 if likelihood > best[h]:
                     best[h], onset[h] = likelihood, k
                 if h < 5 and self._faulty[h]:
-                    # what the filter has followed of it since is in the signature
+                    # The signature contains what the filter has estimated of it since.
                     size = self._before[h] - signature.bias[h]
                     likelihood = size * signature.matched[h] - 0.5 * size * size * signature.energy[h]
                     if likelihood > end[h]:
@@ -679,7 +682,7 @@ cdef class Navigation:
             for k in range(HYPOTHESES):
                 if k != h:
                     others = fmax(others, _BETTER * best[k])
-            # What another fault explains far better is no end.
+            # If another fault explains the innovations much better it is no end.
             if end[h] > others:
                 self.end(&self._signatures[ended[h]], h)
                 return
@@ -691,7 +694,7 @@ cdef class Navigation:
             if h != which:
                 others = fmax(others, best[h] - (_COINCIDENCE if h >= _RAMP and which < _RAMP else 0.0))
         level = fmin(self._level, _JUMPED) if _JUMP <= which < _TURN else self._level
-        # Jumps accuse no sensor, and magnetometers are judged elsewhere.
+        # Jumps make no sensor responsible; magnetometers are judged elsewhere.
         self.score = 0.0 if _JUMP <= which < _RAMP else best[which]
         self._helpless = self._helpless + 1 if which != _TURN and best[which] > level else 0
         if self._learned and not turning and self.score > level:
@@ -712,7 +715,7 @@ cdef class Navigation:
                 and (which < _RAMP or signature.age_s > _RAMPS_S)
             ):
                 if which >= _RAMP and turning:
-                    # So does a tilt, which is left where the gyro's fault was another one than is believed.
+                    # A tilt looks the same; it is left if the gyro's fault was not the believed one.
                     self.restart()
                     self.returned = True
                     return
@@ -729,9 +732,9 @@ cdef class Navigation:
                 return
 
     cdef void end(self, Signature* signature, int which) noexcept:
-        """Take a fault out of the state."""
+        """Remove a fault from the state."""
         cdef double size = self._before[which] - signature.bias[which]
-        # When it ended is known to half the time between two onsets.
+        # The time of its end is known to half the time between two onsets.
         cdef double angle = 0.5 * _SPACING * self._step_s * size
         cdef int i
         self.jump(signature, which, size, 0.0)
@@ -741,7 +744,7 @@ cdef class Navigation:
                 self._P[i][i] += angle * angle
 
     cdef void jump(self, Signature* signature, int which, double size, double spread) noexcept:
-        """Put a fault into the state, with its uncertainty, and begin to judge anew."""
+        """Add a fault to the state, with its uncertainty, and begin a new set of onsets."""
         cdef double[STATES] x
         cdef int i, j
         for i in range(STATES):
@@ -751,7 +754,7 @@ cdef class Navigation:
         if which < 5:
             if not self._faulty[which]:
                 self._faulty[which] = True
-                # What the filter has followed of it since its onset is a part of it.
+                # What the filter has estimated of it since its onset belongs to the fault.
                 self._before[which] = signature.bias[which]
                 self._doubt[which] = signature.variance[which]
             if which < 3:
@@ -770,7 +773,7 @@ cdef class Navigation:
         self._count = self._helpless = 0
 
     cdef void differ(self, const double* R, double* apart) noexcept:
-        """Fill in the rotation from this attitude to another, north, east, down."""
+        """Fill in the rotation from this attitude to R, north, east, down."""
         cdef int i, j, k
         for i in range(3):
             for j in range(3):
@@ -779,19 +782,19 @@ cdef class Navigation:
                     apart[3 * i + j] += R[3 * i + k] * self._R[3 * j + k]
 
     cdef double missed(self, int axis) noexcept:
-        """Return what a gyro's faults that began or ended turned meanwhile; once."""
+        """Return the angle turned by a gyro's faults between their onset and now, or their end; once."""
         cdef double angle = self._missed[axis]
         self._missed[axis] = 0.0
         return angle
 
     cdef double fault(self, int which) noexcept:
-        """Return by how much a gyro (0, 1, 2) or an accelerometer (3, 4) reads too much."""
+        """Return the fault of a gyro (0, 1, 2) or an accelerometer (3, 4): how much too large it reads."""
         return self._bias[which] - self._before[which] if self._begun and self._faulty[which] else 0.0
 
     cdef double spread(self, int which) noexcept:
-        """Return the standard deviation of :meth:`fault`: the bias is uncertain now, and was before the fault.
+        """Return the standard deviation of :meth:`fault`, from the bias now and before the fault.
 
-        That of a compass (5) is how far its field may turn while it is right, by the tilt and heading that gyros tell.
+        For a compass (5): of the direction of a healthy field, by the tilt and heading from the gyros.
         """
         cdef double[STATES] H
         cdef double variance = 0.0
@@ -808,7 +811,7 @@ cdef class Navigation:
 
 
 cdef inline double _rarity(int h) noexcept:
-    """Return one over the variance of a hypothesis' size before anything is measured; a jump may be of any size."""
+    """Return one over the prior variance of a hypothesis' size; 0 for jumps, which may have any size."""
     return (_SIGMAS / _MOST[h >= 3]) ** 2 if h < _JUMP or h >= _RAMP else 0.0
 
 
@@ -816,7 +819,7 @@ cdef inline void _turned(const double* R, const double* turn, double* result) no
     """Fill in R exp(turn x), by the formula of Rodrigues."""
     cdef double x = turn[0], y = turn[1], z = turn[2], angle = sqrt(x * x + y * y + z * z), s, c
     cdef double[9] E
-    # sin(a) / a and (1 - cos(a)) / a^2, by their series where a is too small to divide by
+    # sin(a) / a and (1 - cos(a)) / a^2, by their series if a is too small to divide by.
     if angle > 1e-4:
         s, c = sin(angle) / angle, (1.0 - cos(angle)) / (angle * angle)
     else:
