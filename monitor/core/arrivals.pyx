@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""The messages of a batch that matter to a vehicle's pipeline, in the order of arrival, and how far a segment reaches.
+"""The messages of a batch that matter to a vehicle's pipeline, in the order of arrival, and the extent of a segment.
 
-A segment is what a pipeline works through at once: a message, and those after it that only bring measurements.
+A segment is processed at once: a message, and the following ones that only bring measurements.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from libc.stdint cimport int64_t
 from libc.string cimport memcpy
 
 cdef enum:
-    # What a message is: it carries a channel; an autopilot's heartbeat; one that begins a segment.
+    # Marks of a message: it carries a channel; an autopilot's heartbeat; it begins a segment.
     CARRIES = 1
     HEARTBEAT = 2
     BEGINS = 4
@@ -32,7 +32,7 @@ cdef struct Arrival:
 
 
 cdef class Arrivals:
-    """The messages that matter, and what is known of each.
+    """The messages that matter, with what is known of each.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ cdef class Arrivals:
     phase : FlightPhase
         The flight phase before the batch.
     streams : StreamFilter
-        What of commands that come as streams is left out.
+        Leaves out repeated commands of streams.
 
     Attributes
     ----------
     batch : Batch
-        The messages that matter, counted anew.
+        The messages that matter, numbered anew.
     foreign : int
         Messages of other senders.
     """
