@@ -26,7 +26,7 @@ _LOOKED_AT_NS = 5_000_000_000
 """Time from the begin of a log that is read before the records that fill messages are chosen. Chosen: long enough to
 tell rates of 1 Hz apart, short enough to hold in memory."""
 _LOOKED_AT = 20_000
-"""Most records that are read before that choice."""
+"""Most records that are read before that choice: 4,000 a second for that time, in some 20 MB."""
 _LONGEST_NS = 1_000_000_000
 """Longest gap that is interpolated across. Chosen: ten intervals of the slowest record that a message needs for it
 (ArduPilot's ATT, logged at 10 Hz), two of the slowest optional one (PX4's vehicle_magnetometer, at 2 Hz)."""

@@ -20,7 +20,9 @@ _SENDERS = 64
 _PIECES = 1024
 """Most pieces of one batch: a flood of junk must not keep the caller here."""
 _ANSWER_NS = 10_000_000_000
+"""How long a silent sender still gets packets. Chosen: as long as a link waits for a heartbeat."""
 _SETTLING_NS = 1_000_000_000
+"""A larger step back of arrival times is a clock that was set back; threads stamp them in another order by far less."""
 _COUNTS = ("unknown", "bad_checksums", "damaged", "skipped_bytes")
 # This message carries the secret that packets are signed with, and everything returned here is recorded.
 _SECRET = "SETUP_SIGNING"  # noqa: S105 - the name of a message

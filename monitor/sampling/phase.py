@@ -68,7 +68,8 @@ _AWAY_NS = 1_000_000_000
 """How long a report of a height other than home's counts. Chosen: heights come once a second at least, and a plane that
 touches down rolls for longer."""
 _SINKS_MM = 1000
-"""By how much a landing vehicle sinks within ``_SINKS_NS``, millimetres: autopilots land with 0.3 m/s and more."""
+"""By how much a landing vehicle sinks within ``_SINKS_NS``, millimetres: autopilots land with 0.3 m/s and more, 1.5 m
+in that time."""
 _SINKS_NS = 5_000_000_000
 _NO_ALTITUDE = 0, 1, 2
 """Types of a GPS's fix without an altitude."""

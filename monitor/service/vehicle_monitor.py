@@ -43,10 +43,13 @@ _SILENCE_NS = 100_000_000
 """Silence after which messages of its own advance the pipeline's time: a tenth of the shortest time that an alarm
 counts (1 s)."""
 _BEHIND_S = 1.0
+"""Delay from which the status reports it: the inbox then begins to drop messages (``OLDEST_S`` of its module)."""
 _FENCE_NS = 1_000_000_000
 """Time without an answer of the election after which nothing is published: another monitor takes over after 2 s."""
 _LARGEST_SEQ = 1 << 53
+"""Largest number of an event that JSON readers with floating-point numbers keep exact."""
 _MOST_CHANNELS = 4096
+"""Most channels of another monitor whose events are kept; a profile has some tens, a stranger may send any."""
 _LOSSES = ("late", "invalid", "untimed", "doubted", "incomplete", "skipped")
 
 

@@ -38,7 +38,7 @@ _UPSIDE_DOWN = 100.0
 """Degrees from level beyond which a multirotor is only in a deliberate flip."""
 _GRAVITY = 9.81
 _ABOUT_S = 1.0
-"""Time before an attitude in which an impact belongs to it, seconds."""
+"""Time before an attitude in which an impact belongs to it, seconds: a vehicle that was hit tumbles within a second."""
 _ON_ITS_BACK_S = 0.3
 """Shortest time upside down, seconds. Chosen: a flip takes that long, a tumbling vehicle too; six samples at 20 Hz."""
 
