@@ -14,6 +14,7 @@ Where both change alike, the stamps were altered, or the vehicle's clock runs at
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
 from libc.math cimport INFINITY, fabs, rint
 
+# In nanoseconds.
 cdef long long SECOND = 1_000_000_000
 
 # How long an output stands still, and while how many messages in which others move. Measured in flight on 70 recordings
