@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""Strapdown kinematics tick by tick: the vehicle's motion by each of its raw signals, brought to one age.
+"""Strapdown kinematics tick by tick: the vehicle's motion by each of its raw signals, delayed to equal age.
 
-:mod:`monitor.vehicles.inertial.strapdown` tells its inputs and outputs, and why they are these. Sines, roots and powers
-are those of the C library, one tick after the other, so results do not depend on how a stream is cut into batches.
+:mod:`monitor.vehicles.inertial.strapdown` explains inputs and outputs. Sines, roots and powers are those of the C
+library, one tick after the other, so results do not depend on how a stream is cut into batches.
 """
 
 import numpy as np
@@ -22,61 +22,63 @@ cdef double _GRAVITY = STANDARD_GRAVITY
 cdef double _WGS84_A = 6_378_137.0
 cdef double _WGS84_E2 = 6.694_379_990_14e-3
 cdef double _DEGREE = M_PI / 180.0
-# Chosen: an attitude that turns faster than the gyro measures by this much (rad/s, well above a gyro's bias) was
-# reset, as where another estimator took over. That takes a few ticks at most: one that goes on for longer is believed.
+# Chosen: an attitude that turns faster than the gyros by this much (rad/s, well above a gyro's bias) was reset, as by a
+# change of the estimator. That takes a few ticks at most: if it lasts longer it is believed.
 cdef double _RESET_RATE = 1.0
 cdef int _RESET_TICKS = 3
-# Chosen: twice the smallest error of a position that is worth an alarm. A fix that was the same for long and then moves
-# by less was that of a vehicle that stood still without noise, as in simulators.
+# Chosen: twice the smallest error of a position that is worth an alarm. A fix that was constant for long and then moves
+# by less was that of a vehicle at rest without noise, as in simulators.
 cdef double _STUCK_METRES = 1.0
-# A bend beyond what rounding makes of a straight line, per the velocity's size: some thousand times double precision.
+# A change of slope above the rounding of a straight line, relative to the velocity: some thousand times double
+# precision.
 cdef double _BENT = 1e-12
-# Speed of a receiver that stands, m/s: the noise of its velocity, as the navigation assumes it at the start.
+# Speed of a receiver at rest, m/s: the noise of its velocity, as the navigation assumes it at the start.
 cdef double _STANDS = 0.1
-# How long the gyro or the attitude may lack before all begins anew, seconds. Chosen: as long as a gap of the samples.
+# For how long gyro or attitude may be missing before all begins anew, seconds. Chosen: as long as a gap of the samples.
 cdef double _LONGEST_S = 1.5
-# What may happen unseen while a sensor lacks: what a tilt that is 30 mrad off and a gyro that is 1 degree per second
-# off do. Measured on four healthy flights: after 1 to 2.5 s the way is 0.05 to 0.16 m off (root of the mean square).
+# Motion that may go unnoticed while a sensor is missing: by a tilt of 30 mrad and a gyro's error of 1 degree/s.
+# Measured on four healthy flights: after 1 to 2.5 s the position is 0.05 to 0.16 m off (root mean square).
 cdef double _UNSEEN_ACCELERATION = 0.3
 cdef double _UNSEEN_RATE = 0.02
-# How far off the way may be between two known velocities while neither GPS nor IMU tells, m for a time in seconds to
-# the power of 2.5: twice sqrt(12 / 720), the standard deviation for accelerations of which the navigation's velocity is
-# off by 1 m/s after a second (a random walk with known ends, of 12 m^2/s^5). A walk of the GPS of 0.5 m/s is more in
-# every gap up to 1.5 s, thrice that deviation would forgive it from 1.2 s on.
+# Position error between two known velocities while GPS and IMU are both missing, m, times the time in seconds to the
+# power of 2.5: twice sqrt(12 / 720), the standard deviation for accelerations that change the velocity by 1 m/s in a
+# second (a random walk with known ends, of 12 m^2/s^5). A GPS drift of 0.5 m/s exceeds it in every gap up to 1.5 s;
+# with three standard deviations it would not from 1.2 s on.
 cdef double _UNSEEN_WAY = 0.26
-# How fast the magnetic field turns about the vertical from which on it is not compared, rad/s: half of the step of the
-# delays that a fit tries, 0.02 s, then makes half of the smallest fault of a compass that is worth an alarm, 0.09 rad.
+# Rotation of the magnetic field about the vertical from which it is not compared, rad/s: half of the step of delays
+# that a fit tries, 0.02 s, then makes half of the smallest compass fault that is worth an alarm, 0.09 rad.
 cdef double _WHIRLING = 4.5
-# Random walk of the vertical velocity while its acceleration is measured, m/s per root of a second: the navigation's.
+# Random walk of the vertical velocity while its acceleration is measured, m/s per root of a second: as in the
+# navigation.
 cdef double _WALK = 0.05
-# Longest line over lost measurements of the magnetic field that tells a heading, s: within it a turn that changes by
-# 10 rad/s^2 is hidden by 3 mrad, thrice the noise of a quiet field; within 0.1 s by 12.
+# Longest line over lost measurements of the magnetic field that gives a heading, s: a turn that changes by 10 rad/s^2
+# makes an error of 3 mrad in it, three times the noise of a quiet field; in 0.1 s 12 mrad.
 cdef double _FIELD_LINE_S = 0.05
-# Noise of a height, m, and for how long an error of it lasts, s. Chosen: those of barometers in wind; of two heights
-# the one that says less counts, so a better one is not taken for worse than the other.
+# Noise of a height, m, and correlation time of its errors, s. Chosen: those of barometers in wind; the smaller
+# innovation of two heights counts, so a better height is not taken for worse.
 cdef double _HEIGHT_NOISE = 0.1
 cdef double _HEIGHT_LASTS_S = 0.1
-# Times as long as from one magnetic field to the next that it may stay, where they come more seldom than in the fitted
-# flights: two in a row may be lost. A log holds 2 fields a second, the link that was fitted 100.
+# Longest time for which a magnetic field may stay the same, as a multiple of the time between two fields, where these
+# are slower than in the fitted flights: two in a row may be lost. A log has 2 fields a second, the fitted link 100.
 cdef int _HELD_STEPS = 3
-# Ticks, of which a product with that fits a number.
+# Most ticks that are counted: their product with _HELD_STEPS fits an int.
 cdef int _LONGEST_STEP = 1 << 28
-# Standard deviation from which a vertical velocity is known again, m/s: the filter's own without a gap is 0.05.
+# Standard deviation below which a vertical velocity is known again, m/s: without a gap the filter has 0.05.
 cdef double _SPEED_KNOWN = 0.075
-# Standard deviations that no height is off by which is alone. Within which two heights drift apart, s. Chosen: longer
-# than a gap, shorter than the washout of heights.
+# Largest innovation of a height that is the only one, in standard deviations. Time in which two heights drift apart, s.
+# Chosen: longer than a gap, shorter than the washout of heights.
 cdef double _OUTLIER = 3.0
 cdef double _APART_S = 3.0
-# How long an attitude is no witness against the gyros after one of them was at fault, seconds. Chosen: estimators of
-# two autopilots took 10 to 20 s to learn that a bias had gone.
+# For how long the attitude is no evidence against the gyros after a gyro's fault, seconds. Chosen: estimators of two
+# autopilots took 10 to 20 s to learn that a bias had ended.
 cdef double _LEARNING_S = 30.0
-# By how much the verticals of autopilot and navigation differ while one is wrong, rad. Measured: 0.003 to 0.008 (root
-# of the mean square) in eight healthy flights of two autopilots, 0.03 to 0.6 after faults of gyros.
+# Difference of the verticals of autopilot and navigation from which one is wrong, rad. Measured: 0.003 to 0.008 (root
+# mean square) in eight healthy flights of two autopilots, 0.03 to 0.6 after faults of gyros.
 cdef double _TILTED = 0.03
-# The same of their headings, rad: the noise of an autopilot's heading as the navigation takes it.
+# The same of their headings, rad: the noise of an autopilot's heading in the navigation.
 cdef double _HEADING_APART = 0.1
 
-# Groups of signals that come and lack together.
+# Groups of signals that are measured together.
 cdef enum:
     _IMU
     _GPS
@@ -87,13 +89,13 @@ cdef enum:
 cdef enum:
     # Most signals, and most u or y, with room to spare.
     _WIDEST = 24
-    # What the navigation reads of a tick: force, rate and attitude, whether they lack, the field, whether any lies on a
-    # line, what lines hide, and the mean rate.
+    # What the navigation reads at a tick: force, rate and attitude, whether they are missing, the field, whether any is
+    # on a line, variances hidden by lines, and the mean rate.
     _SENSED = 29
 
 
 cdef class _Delay:
-    """A line that gives back what went in some ticks ago."""
+    """A delay line of some ticks."""
 
     cdef double* _line
     cdef int _width
@@ -112,7 +114,7 @@ cdef class _Delay:
         self._count = self._next = 0
 
     cdef double* push(self, const double* values) noexcept:
-        """Put values in; return those of `ticks` ago, NULL while the line fills."""
+        """Append values; return those of `ticks` ago, NULL while the line fills."""
         memcpy(self._line + self._next * self._width, values, self._width * sizeof(double))
         self._next = (self._next + 1) % (self._ticks + 1)
         self._count = min(self._count + 1, self._ticks + 1)
@@ -120,7 +122,7 @@ cdef class _Delay:
 
 
 cdef class _Vertical:
-    """How fast the vehicle sinks: a Kalman filter of height and its rate, whose covariance grows while nothing tells.
+    """The vehicle's vertical velocity: a Kalman filter of height and its rate.
 
     With acceleration a,  d+ = d + T (w + a T / 2),  w+ = w + T a,  heights d + their own offsets + noise.
     """
@@ -131,7 +133,7 @@ cdef class _Vertical:
     cdef double[2] _offset
     cdef bint[2] _lacked
     cdef bint _begun
-    # Whether a gap left the speed unknown.
+    # Whether the speed is unknown after a gap.
     cdef bint unknown
 
     def __init__(self, double dt):
@@ -145,7 +147,7 @@ cdef class _Vertical:
         self._P[0], self._P[1], self._P[2] = self._noise, 0.0, 1.0
 
     cdef double predict(self, double acceleration, double hidden) noexcept:
-        """Go on by a tick, of whose acceleration a line hides so much of the velocity; return the change of height."""
+        """Predict by a tick; ``hidden`` is the velocity's variance that a line hides. Return the change of height."""
         cdef double T = self._dt, change = T * (self.speed + 0.5 * T * acceleration)
         cdef double q = T * _WALK * _WALK + hidden
         self.depth += change
@@ -157,10 +159,10 @@ cdef class _Vertical:
         return change
 
     cdef void meet(self, int count, const double* heights, const bint* lacks, double* correction) noexcept:
-        """Fill in by how much height and speed are off by those of ``count`` heights that do not lack.
+        """Fill in the corrections of height and speed by those of ``count`` heights that are not missing.
 
-        Of two the one that is less off counts: the other may have jumped. So may one whose other lacks.
-        What comes back after a gap tells where the vehicle is then; else an error lasts for some ticks.
+        Of two heights the smaller innovation counts, as the other one may have jumped; a single one of two must be
+        near. After a gap the first height tells where the vehicle is; otherwise errors last for some ticks.
         """
         cdef double[2] off
         cdef double S, p
@@ -198,7 +200,7 @@ cdef class StrapdownCore:
     Parameters
     ----------
     gps, baro, mag : bool
-        Whether there are GPS, barometer and magnetometer beside IMU and attitude.
+        Whether there are GPS, barometer and magnetometer in addition to IMU and attitude.
     speeds : int
         Signals of the GPS's velocity: 2, speed and course; 3, along the body's axes; 0, none.
     hectopascal : bool
@@ -208,10 +210,10 @@ cdef class StrapdownCore:
     imu_ticks, gps_ticks, baro_ticks, compass_ticks : int
         Ticks by which to delay acceleration, GPS and barometer, and the attitude that levels the magnetometer.
     gps_hold, compass_hold, imu_hold : int
-        Ticks for which a fix, a magnetic field, and all of IMU and attitude may stay the same until the next
-        measurement; 0: for ever. An IMU that stays the same for longer is not measured any more.
+        Ticks for which a fix, a magnetic field, and the whole IMU with attitude may stay the same (0: for ever). An IMU
+        that stays the same for longer counts as missing.
     count : int
-        Ticks of one period, the distance of the samples that are given out.
+        Ticks of one period, from sample to sample of the results.
     inputs : int
         Number of u.
     washouts : Sequence[tuple[float, float]]
@@ -219,14 +221,15 @@ cdef class StrapdownCore:
     twice : Sequence[bool]
         Whether each output is washed out twice.
     navigation : Navigation | None
-        What tells faults of gyros and accelerometers by the GPS's velocity; the last two outputs are then errors of the
-        accelerometers, which are not washed out.
+        Finds faults of gyros and accelerometers by the GPS's velocity; the last two outputs are then the
+        accelerometers' faults, which are not washed out.
     attitude_share : float
-        Share of what the attitude turns otherwise than the gyros that counts while the navigation blames none of them.
+        Share of the difference between attitude and gyros that counts while the navigation holds none of them
+        responsible.
     angles_s : Sequence[float]
-        T of each gyro, x, y and z: the observer behind follows its fault as T f^' = f - f^; 0: not known.
+        T of each gyro, x, y and z: the observer estimates its fault as T f^' = f - f^; 0: not known.
     learned : bool
-        Whether in place of the gyros' rates there is what the autopilot's estimator has learned to take off them.
+        Whether the gyros' rates are replaced by the bias that the autopilot's estimator subtracts from them.
 
     Attributes
     ----------
@@ -256,36 +259,36 @@ cdef class StrapdownCore:
     cdef double[9] _imu
     cdef double[_WIDEST] _keep
     cdef double[_WIDEST] _gain
-    # How many ticks a lost measurement is in what is given out, and for how many more one of each group will be.
+    # For how many ticks a lost measurement is part of the results, and for how many more one of each group is.
     cdef int _longest
     cdef int[_GROUPS] _doubt
-    # Outputs of each group, and the one that is not any more.
+    # Outputs of each group: the first, and one after the last.
     cdef int[_GROUPS] _first
     cdef int[_GROUPS] _stop
-    # Whether each group lacked at the tick before, as it is delayed; for how many ticks it has; what is added to its
-    # outputs, now and before it lacked; its outputs of the tick before.
+    # Whether each group was missing at the tick before, as delayed; for how many ticks it has been; offsets that are
+    # added to its outputs, now and before it was missing; its outputs at the tick before.
     cdef bint[_GROUPS] _lacked
-    # Whether it has lacked since the beginning, when nothing tells what it would have been.
+    # Whether it has been missing since the beginning, so that its offset is not known.
     cdef bint[_GROUPS] _unknown
-    # Whether the gyro or accelerometer lacked while the GPS did.
+    # Whether gyro or accelerometer were missing while the GPS was.
     cdef bint _blind
     cdef int[_GROUPS] _lacking
-    # Mean of :attr:`_hidden` over the time that a velocity is remembered for.
+    # Mean of :attr:`_hidden` over the memory of the velocity.
     cdef double _unseen
     cdef double[_WIDEST] _added
     cdef double[_WIDEST] _anchor
     cdef double[_WIDEST] _place
     cdef double[2] _speed
-    # What the navigation held the GPS's velocity to be led away by as the period began; what GPS's position and
-    # velocity are apart from the inputs, washed out as they are, and whether that is void.
+    # The error of the GPS's velocity by a ramp, as the period began; the washed-out differences of GPS position and
+    # velocity from the inputs, and whether they are void.
     cdef double[2] _led
     cdef double[4] _apart_gps
     cdef bint _back
-    # Whether what the vehicle turned was set back in this period: a jump that no sensor made. Whether y has it now.
+    # Whether the rotation was set back in this period, a jump that no sensor made; whether the present y contains it.
     cdef bint _corrected, _moved
     cdef bint _still
     cdef int _stills
-    # Attitude of the tick before; what it turned so far; first place and the metres of its degrees.
+    # Attitude of the tick before; the rotation so far; first position, and metres per degree there.
     cdef bint _turning, _placed
     cdef double[9] _attitude
     cdef double[3] _turn_rate
@@ -298,30 +301,30 @@ cdef class StrapdownCore:
     # The rotation from the navigation's attitude to the autopilot's, north, east, down.
     cdef double[9] _apart
     cdef int _resets
-    # Whether one of these moved the vertical, and whether no field has been compared since one was not.
+    # Whether a reset moved the vertical; whether no field has been compared since.
     cdef bint _tipped, _unread
-    # The newest fix and magnetic field, for how many ticks each has been the same, those between the last two fields,
-    # and the speed.
+    # The newest fix and magnetic field; for how many ticks each has been the same; ticks between the last two fields;
+    # the speed.
     cdef double[5] _fix
     cdef double[3] _field
     cdef double[2] _reckoned
     cdef int _fix_age, _field_age, _field_step
-    # Where a receiver was stuck, how the vehicle moved since by accelerations, ticks until that is compared with where
-    # it goes on, and whether all has to begin anew there.
+    # Where a receiver was stuck; the vehicle's way since then by accelerations; ticks until that is compared with the
+    # next fixes; whether all has to begin anew there.
     cdef double[2] _stuck
-    # The GPS's velocity of the tick before as it comes, by how much it changed then, and whether by more than before.
+    # The GPS's velocity of the tick before as received, its change then, and whether the change was another one before.
     cdef double[3] _spoke
     cdef double[3] _slope
     cdef bint _bent
     cdef double[2] _way
     cdef int _loose
     cdef bint _unstuck
-    # Whether the magnetic field lies on a line too long to tell a heading.
+    # Whether the magnetic field is on a line too long to give a heading.
     cdef bint _faint
-    # For how many ticks neither GPS nor IMU has shown a motion, and whether no fix that moves has been met since.
+    # For how many ticks neither GPS nor IMU has shown a motion; whether no moving fix has been compared since.
     cdef int _resting
     cdef bint _stood
-    # u of the tick before; the sum of u since the period's start, and where it began.
+    # u of the tick before; sum of u since the period's start; time and integrals at that start.
     cdef bint _has_before, _begun, _fresh
     cdef double[_WIDEST] _before
     cdef double[_WIDEST] _sum
@@ -359,7 +362,7 @@ cdef class StrapdownCore:
         cdef int i
         self._gps, self._baro, self._mag, self._hectopascal, self._dt = gps, baro, mag, hectopascal, dt
         self._speeds = speeds
-        # Behind the values: whether their measurements lack; of fixes how long a line over lost ones is.
+        # After the values: whether their measurements are missing; for fixes the length of a line over lost ones.
         self._motion = _Delay.__new__(_Delay, imu_ticks, 6)
         self._fixes = _Delay.__new__(_Delay, gps_ticks, 8)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
@@ -420,9 +423,9 @@ cdef class StrapdownCore:
         self._back = self._corrected = self._moved = False
 
     def run(self, samples):
-        """Go on by raw samples; return the observer's samples, each where its period ends.
+        """Process raw samples; return the observer's samples, each at the end of its period.
 
-        Their errors are larger for what lines hid in the time that they remember.
+        Their errors (``beyond``) are larger by what lines have hidden within the memory of the velocity.
 
         Parameters
         ----------
@@ -471,7 +474,7 @@ cdef class StrapdownCore:
                 self.restart()
             self.find_lacking(&raw[row, 0], &lost[row, 0], lacks)
             line_s = self._stills * self._dt
-            # Gyros that come too seldom to be integrated are compared as they come: a line hides nothing of them.
+            # Gyros too slow to be integrated are compared as they are: a line hides nothing of them.
             for i in range(0 if self._learned and not lacks[_IMU] else 6):
                 line_s = max(line_s, 1e-9 * lines[row, i])
             fix_line_s = 1e-9 * lines[row, 9] if self._gps else 0.0
@@ -482,7 +485,7 @@ cdef class StrapdownCore:
                 continue
             self._unseen += forgotten * (self._hidden - self._unseen)
             if self._has_before and self._begun:
-                # The mean over a tick, by the trapezoidal rule, goes into the mean over the period.
+                # The mean over a tick, by the trapezoidal rule, is added to the mean over the period.
                 for i in range(self._inputs):
                     self._sum[i] = self._sum[i] + meant[i]
                 self._summed += 1
@@ -501,8 +504,8 @@ cdef class StrapdownCore:
                         for i in range(self._first[group], self._stop[group]):
                             without[count, self._inputs + i] = True
                 if self._doubt[_IMU]:
-                    # All but the GPS's positions are compared with it, and these with the GPS's velocity; but without
-                    # an IMU for long the vehicle is not watched.
+                    # Everything but GPS positions, which have the GPS's velocity, is compared with the IMU; and if the
+                    # IMU is missing for long the vehicle is not watched.
                     i = 2 if self._gps and self._speeds and self._stills * self._dt <= _LONGEST_S else 0
                     lacking[count, self._inputs + i :] = True
                 flags[0, count], flags[1, count] = self._fresh, whole_sample and not self._corrected
@@ -525,7 +528,7 @@ cdef class StrapdownCore:
                         continue
                     change = places[i] - self._start[i]
                     if self._twice[i]:
-                        # a vehicle that begins on the move has been washed out before: what its speed would leave
+                        # A vehicle that begins in motion has been washed out before: the result for its constant speed.
                         before = self._gain[i] / (1.0 - self._keep[i]) * change if flags[0, count] else self._once[i]
                         self._once[i] = self._keep[i] * before + self._gain[i] * change
                         change = self._once[i] - before
@@ -536,7 +539,7 @@ cdef class StrapdownCore:
                         self._apart_gps[i] = self._keep[i] * self._apart_gps[i] + self._gain[i] * change
                         if self._back:
                             self._y[i], self._apart_gps[i] = self._y[i] - self._apart_gps[i], 0.0
-                        # What the navigation knows by which the GPS is led away is not washed out.
+                        # The known error of the GPS's velocity is not washed out.
                         if i >= 2:
                             y[count, i] += self._led[i - 2]
                             self._led[i - 2] = self._navigation.led(i - 2)
@@ -563,7 +566,7 @@ cdef class StrapdownCore:
         )
 
     cdef void find_lacking(self, const double* signals, const unsigned char* lost, bint* lacks) noexcept:
-        """Fill in which groups lack at a tick, and follow for how long that is in what is given out."""
+        """Fill in which groups are missing at a tick, and count for how long that is part of the results."""
         cdef int[_GROUPS] width
         cdef int group, i
         width[_IMU], width[_GPS] = 9, (3 + self._speeds) * self._gps
@@ -573,13 +576,13 @@ cdef class StrapdownCore:
             for i in range(width[group]):
                 lacks[group] |= lost[i]
             if group == _IMU and self._imu_hold:
-                # Kept over a restart, which a frozen sensor must not escape by.
+                # Kept over a restart: a frozen sensor must not look measured by it.
                 self._imu_age = self._imu_age + 1 if memcmp(signals, self._imu, sizeof(self._imu)) == 0 else 0
                 memcpy(self._imu, signals, sizeof(self._imu))
                 lacks[group] |= self._imu_age > self._imu_hold
             lost += width[group]
             self._doubt[group] = self._longest + 1 if lacks[group] else max(self._doubt[group] - 1, 0)
-        # Where the gyro or the attitude lacked for long all begins anew.
+        # After gyro or attitude were missing for long all begins anew.
         if lacks[_IMU]:
             self._stills += 1
         elif self._stills * self._dt > _LONGEST_S:
@@ -591,11 +594,11 @@ cdef class StrapdownCore:
         self, const double* signals, const bint* lacks, bint lined, double line_s, double fix_line_s,
         double* u, double* y, double* meant
     ) noexcept:
-        """Go on by a tick; return whether every delay line is full.
+        """Process a tick; return whether every delay line is full.
 
         Fills in u of this tick, the integrals y before washing, and the means of u since the tick before. ``lined``:
-        measurements were lost around the tick, so that some signals lie on a line between two of them; ``line_s``: how
-        long that of IMU is, 0: it was measured; ``fix_line_s``: the same of the GPS.
+        measurements were lost around the tick, so that some signals are on a line between two of them; ``line_s``:
+        length of the IMU's line, 0 if it was measured; ``fix_line_s``: the same of the GPS.
         """
         cdef const double* rate = signals + 3
         cdef const double* sensors = signals + 9
@@ -624,7 +627,7 @@ cdef class StrapdownCore:
             mean[axis] = rate[axis] if first else 0.5 * (self._turn_rate[axis] + rate[axis])
         bridged = self.hide(signals, R, line_s, hidden, early) or lacks[_IMU]
         still = bridged or self._still
-        # What an estimator has learned says nothing of resets of its attitude.
+        # The learned bias tells nothing of resets of the attitude.
         self.turn(R, rate, still or self._learned, turning)
         self._still = bridged
         if still:
@@ -643,11 +646,11 @@ cdef class StrapdownCore:
             self.turn_upright(before)
             values[2], values[3] = max(hypot(upright[7], upright[8]), 1e-9), -upright[6]
             values[0], values[1] = upright[8] / values[2], upright[7] / values[2]
-        # Of a gyro y that is known to be at fault its bias is left out; that of a gyro z is the observer's to find.
+        # A known fault of gyro y is subtracted; that of gyro z is estimated by the observer.
         biased = 0.0 if self._navigation is None or still else self._navigation.fault(1)
         values[4] = _heading_rate(before, self._dt, mean[0], mean[1] - biased, mean[2])
         values[5] = still
-        # Between two measurements on either side of the vertical a straight line of roll, pitch and yaw is no attitude.
+        # Between two measurements on either side of the vertical, a line of roll, pitch and yaw is no attitude.
         values[6] = self._tipped or is_steep(values[2])
         values[7] = values[6] != 0.0 or (
             self._mag and fabs(field_rate(R, rate, sensors + self._gps * (3 + self._speeds) + self._baro)) > _WHIRLING
@@ -732,7 +735,7 @@ cdef class StrapdownCore:
             u[i + 3] = level[4]
             steep = level[7] != 0.0
             if level[6] != 0.0:
-                # What the compass would have shown meanwhile nothing tells.
+                # The change of the compass meanwhile is not known.
                 self._unknown[_MAG] = True
             self.follow_field(level, sensors, steep)
             y[k + 3] = self._heading - self._set_back
@@ -761,10 +764,11 @@ cdef class StrapdownCore:
     cdef bint hide(
         self, const double* signals, const double* R, double line_s, double* hidden, double* early
     ) noexcept:
-        """Fill in what a line hides of velocity and angle in this tick, as variances; return whether R tells more.
+        """Fill in the variances that a line hides of velocity and angle in this tick; return whether R is the better
+        source.
 
-        That is which of gyros and attitude, either on a line, says better by how much the vehicle turns meanwhile.
-        ``early``: rate by which the attitude turns otherwise for being earlier than the gyros.
+        That is, whether the attitude rather than the gyros tells the rotation, where both are on a line. ``early`` is
+        the rate by which the attitude turns differently because it is earlier than the gyros.
         """
         cdef double[3] angles
         cdef double[6] value
@@ -785,7 +789,7 @@ cdef class StrapdownCore:
             for axis in range(3):
                 by_gyros[axis] = self._errors.steep(3 + axis, value[3 + axis], ticks)
                 by_attitude[axis] = self._errors.variance(6 + axis, ticks)
-            # An attitude that follows a wrong gyro, or unlearns its bias, is no witness.
+            # An attitude that follows a faulty gyro, or unlearns its bias, is no evidence.
             better = self._biased_s == 0.0 and (
                 by_attitude[0] + by_attitude[1] + by_attitude[2] < by_gyros[0] + by_gyros[1] + by_gyros[2]
             )
@@ -797,7 +801,7 @@ cdef class StrapdownCore:
         return better
 
     cdef void turn_upright(self, double* R) noexcept:
-        """Turn an attitude of the autopilot to the vertical of the navigation."""
+        """Rotate an attitude of the autopilot to the vertical of the navigation."""
         cdef double[9] turned
         cdef int i
         for i in range(9):
@@ -805,7 +809,7 @@ cdef class StrapdownCore:
         memcpy(R, turned, sizeof(turned))
 
     cdef void navigate(self, const double* sensed, const double* fix, double ahead, double* motion) noexcept:
-        """Put the accelerations of the vehicle's own navigation in place of those with the autopilot's attitude."""
+        """Replace accelerations by the autopilot's attitude by those of the vehicle's own navigation."""
         cdef bint lacks = sensed[15] != 0.0, stands = self.rests(), news
         if not self._navigation._begun and (lacks or fix[5] != 0.0):
             return
@@ -814,7 +818,8 @@ cdef class StrapdownCore:
         )
         self._navigation.differ(sensed + 6, self._apart)
         news = memcmp(fix, self._fix, sizeof(self._fix)) != 0
-        # The first fix that moves is met as it comes, and with it the later ones, not the lines between them.
+        # After a rest the first moving fix is compared when it comes, and so are later fixes, not the lines between
+        # them.
         self._stood |= stands
         if not fix[5] and (news and self._stood or (news or stands) and self._navigation.due(fix[7])):
             self._stood = self._stood and not news
@@ -824,9 +829,9 @@ cdef class StrapdownCore:
                 self._back = True
 
     cdef double bends(self, const double* speed) noexcept:
-        """Return 1 where a fix came since the tick before, which bends the line of the GPS's velocity, else 0.
+        """Return 1 if a fix came since the tick before, which changes the slope of the GPS's velocity, otherwise 0.
 
-        0.5 where the line bent at the tick before, too: that is the same fix, or fixes come as fast as ticks.
+        0.5 if the slope changed at the tick before, too: it is the same fix, or fixes come as fast as ticks.
         """
         cdef bint bent = False, before = self._bent
         cdef double slope
@@ -839,7 +844,7 @@ cdef class StrapdownCore:
         return 0.5 * bent if before else bent
 
     cdef void follow_rest(self, const double* rate, const double* fix, const double* motion) noexcept:
-        """Follow for how long the vehicle has stood: no motion but what errors of the IMU make of nothing."""
+        """Count for how long the vehicle has been at rest: no motion above the errors of the IMU."""
         cdef bint moves = hypot(fix[3], fix[4]) > _STANDS or hypot(motion[0], motion[1]) > _UNSEEN_ACCELERATION
         cdef int axis
         for axis in range(3):
@@ -847,14 +852,14 @@ cdef class StrapdownCore:
         self._resting = 0 if moves else min(self._resting + 1, _LONGEST_STEP)
 
     cdef bint rests(self) noexcept:
-        """Return whether it stands, for as long as a fix may stay the same: then it does, and is no receiver stuck."""
+        """Return whether the vehicle is at rest, for as long as a fix may stay the same: then no receiver is stuck."""
         return self._resting > self._gps_hold > 0
 
     cdef void follow_fix(self, const double* fix, const double* motion) noexcept:
         """Follow the GPS's speed, by the accelerations while the fix stays the same.
 
-        With it the position of a receiver that is stuck is off by what the vehicle moved meanwhile; its velocity
-        follows the accelerations. Once it goes on, what they integrated to since is void, and the fix is right.
+        A stuck receiver's position is then wrong by the vehicle's way; its velocity follows the accelerations. When it
+        goes on, their integral since then is void, and the fix is right.
         """
         cdef double step
         cdef int axis
@@ -864,7 +869,7 @@ cdef class StrapdownCore:
             self._fix_age += 1
             for axis in range(2):
                 self._reckoned[axis] = self._reckoned[axis] + motion[axis] * self._dt
-                # by the speed that is given out, as below
+                # By the speed that is returned, as below.
                 step = self._reckoned[axis] if self.stuck() else fix[3 + axis]
                 self._way[axis] = self._way[axis] + step * self._dt
             return
@@ -875,7 +880,7 @@ cdef class StrapdownCore:
             else:
                 self._way[0] = self._way[1] = 0.0
         if self._loose:
-            # Lines from the fix where it was stuck to the next one are over by then.
+            # Lines from the fix where it was stuck to the next one have ended by then.
             self._loose -= 1
             for axis in range(2):
                 self._way[axis] = self._way[axis] + fix[3 + axis] * self._dt
@@ -886,7 +891,7 @@ cdef class StrapdownCore:
         self._reckoned[0], self._reckoned[1] = fix[3], fix[4]
 
     cdef void believe_fix(self, const double* fix) noexcept:
-        """Go on from a fix after one that was stuck: what it is off from the reckoning is the reckoning's error."""
+        """Go on from a fix after a stuck one: the difference from the accelerations' way is an error of these."""
         cdef int axis
         if not self._speeds:
             self._unstuck = True
@@ -913,16 +918,16 @@ cdef class StrapdownCore:
         if steep:
             self._unread = True
         elif self._field_age >= hold or (self._field_age == 1 if self._unread else not same):
-            # the first one back is read whole: one between two samples changes both of them
+            # The first one back is used at once: between two samples both would change.
             self._heading = self._heading + wrapped(_magnetic_heading(level, field) - self._heading)
             self._unread = False
 
     cdef void reckon(self, bint imu, bint gps, bint baro, bint mag, double* y, double* meant) noexcept:
-        """Let what lacks since the tick before follow what is there.
+        """Let missing signals follow those that are measured.
 
-        What follows makes no difference between u and y, as a step of an observer without that measurement would. The
-        gyro's rates follow the attitude already; accelerations follow the GPS. Of the other groups the outputs follow
-        the inputs, and go on from there unless they come back far from it.
+        A signal that follows makes no difference between u and y, like a step of an observer without that measurement.
+        Rates of missing gyros follow the attitude already; missing accelerations follow the GPS. Outputs of the other
+        groups follow the inputs, and go on from there unless the sensor returns far from it.
         """
         cdef bint[_GROUPS] now
         cdef bint[_GROUPS] lacks
@@ -970,7 +975,7 @@ cdef class StrapdownCore:
         memcpy(self._place, y, sizeof(self._place))
 
     cdef void come_back(self, int group, double lacked_s, double* meant) noexcept:
-        """Go on from what a sensor was taken to be, unless it comes back further off than the vehicle may have gone."""
+        """Go on from the assumed value of a sensor unless it returns further away than the vehicle may have moved."""
         cdef double jump, least, turn
         cdef bint moves = group == _GPS and self._speeds, blind = group == _GPS and self._blind
         cdef int i
@@ -981,32 +986,33 @@ cdef class StrapdownCore:
             return
         for i in range(self._first[group], self._stop[group]):
             if self._vertical.unknown and (group == _BARO or group == _GPS and i == self._stop[_GPS] - 1):
-                # what it tells by its jump :meth:`sink` finds
+                # :meth:`sink` evaluates its jump.
                 self._added[i] = self._anchor[i]
                 continue
             jump = self._anchor[i] - self._added[i]
             least = 0.5 * _UNSEEN_ACCELERATION * lacked_s * lacked_s
             if moves and i < 2 and blind:
-                # Between two known velocities and accelerations the way is that of a cubic: what the velocity is off
-                # now, it was half of on average, more where it was off at once, less where it was at the end.
+                # Between two known velocities and accelerations the way is that of a cubic: its velocity error was half
+                # of the present one on average; more if it arose at once, less if it arose at the end.
                 turn = 0.5 * lacked_s * (self._anchor[2 + i] - self._added[2 + i])
                 meant[i] = meant[i] + turn / self._dt
                 self._added[i] = self._added[i] + turn
                 jump, least = jump - turn, max(_UNSEEN_WAY * pow(lacked_s, 2.5), fabs(turn))
             elif moves and 2 <= i < 4:
-                # Without the accelerometer nothing speaks against the velocity.
+                # Without the accelerometer nothing contradicts the velocity.
                 least = INFINITY if blind else _UNSEEN_ACCELERATION * lacked_s
             elif group == _MAG:
                 least = _UNSEEN_RATE * lacked_s
-            # A jump of the sensor counts whole: so does the one at its end.
+            # A jump of the sensor counts in full, as does the one at its end.
             if fabs(jump) > least:
                 self._added[i] = self._anchor[i]
 
     cdef void sink(self, const bint* lacks, double* y, double* acceleration) noexcept:
-        """Let heights that lack follow how the vehicle sinks, and that follow them where a gap left it unknown.
+        """Let missing heights follow the vertical velocity, and the velocity follow the heights if it is unknown after
+        a gap.
 
-        A gap takes the certainty of the velocity, not of the accelerometer: what heights then say of the velocity goes
-        into the acceleration at once, and what they are off by is left out of them, until it is known as before.
+        A gap makes the velocity uncertain, not the accelerometer: until the velocity is as certain as before, its
+        corrections by the heights go into the acceleration, and height corrections are taken out of the outputs.
         """
         cdef _Vertical vertical = self._vertical
         cdef int[2] output
@@ -1042,15 +1048,15 @@ cdef class StrapdownCore:
                 y[output[i]] -= correction[0]
 
     cdef inline void follow(self, double* y, int i, double change) noexcept:
-        """Let an output change since the tick before by so much."""
+        """Change an output by ``change`` since the tick before."""
         change = self._place[i] + change
         self._added[i] = self._added[i] + (change - y[i])
         y[i] = change
 
     cdef void turn(self, const double* R, const double* rate, bint still, double* turning) noexcept:
-        """Add what the attitude turned since the tick before; while it is being reset, what the gyro measured.
+        """Add the rotation by the attitude since the tick before; while the attitude is being reset, that by the gyros.
 
-        Fills in how fast it turned. Where the gyro's measurements lack it was not reset.
+        Fills in the rate of the attitude. While the gyros' measurements are missing it was not reset.
         """
         cdef double[3] angles
         cdef double[3] apart
@@ -1058,12 +1064,12 @@ cdef class StrapdownCore:
         cdef bint biased = False, misled = False, tipped
         cdef int axis
         if self._navigation is not None:
-            # an attitude follows the compass, too
+            # An attitude follows the compass, too.
             biased = self._navigation.strayed
-            # nor does one that levels itself by accelerometers know better than the gyros which way is down
+            # Nor does an attitude that levels itself by accelerometers know the vertical better than the gyros.
             for axis in range(5):
                 biased |= self._navigation.fault(axis) != 0.0
-            # one with another vertical, or that heads elsewhere, has not learned yet
+            # An attitude with another vertical or heading has not learned yet.
             biased |= self._biased_s > 0.0 and (
                 hypot(self._apart[2], self._apart[5]) > _TILTED
                 or fabs(atan2(self._apart[3], self._apart[0])) > _HEADING_APART
@@ -1090,25 +1096,27 @@ cdef class StrapdownCore:
         memcpy(self._turn_rate, rate, sizeof(self._turn_rate))
 
     cdef double judged(self, int axis, double step, double rate, bint misled) noexcept:
-        """Return what the vehicle turned about an axis since the tick before, by its attitude and its navigation.
+        """Return the rotation about an axis since the tick before, by the attitude and the navigation.
 
-        ``misled`` says that the attitude has just turned out to be no witness: what it told of the gyro is void.
+        ``misled``: the attitude has just turned out to be wrong, so that its earlier evidence on the gyro is void.
 
-        Where a gyro is at fault the autopilot's attitude follows it, before it learns the bias and after that has gone.
-        The observer behind follows what the rotation then differs from the gyro as T f^' = f - f^. While the navigation
-        knows a fault f, and as it ends, the rotation is set back by T (f - f^), which makes that estimate jump to f.
+        If a gyro is faulty the autopilot's attitude follows it, until it learns the bias, and again after the fault's
+        end. The observer estimates the difference between this rotation and the gyro as T f^' = f - f^. While the
+        navigation knows a fault f, and when it ends, the rotation is set back by T (f - f^), so that the estimate jumps
+        to f.
         """
-        # the mean over the tick, as that of u is
+        # The mean over the tick, as that of u.
         cdef double by_gyro = 0.5 * (self._turn_rate[axis] + rate) * self._dt
         cdef double fault = self._navigation.fault(axis), missed = self._navigation.missed(axis)
         if self._biased_s:
-            # what it always reads too much is no fault, and turns the heading all the same
+            # A constant bias is no fault, but turns the heading all the same.
             step = by_gyro - (fault if fault != 0.0 else self._navigation._bias[axis]) * self._dt
         else:
             step = by_gyro + self._attitude_share * (step - by_gyro)
         if self._angle_s[axis]:
             if axis == 2:
-                # The magnetic heading has turned with the vehicle since the onset: it lacks the rest of that angle.
+                # The magnetic heading has turned with the vehicle since the onset: only the rest of that angle is
+                # missing.
                 self._seen += missed
                 self._set_back = self._angle_s[axis] * fault - self._seen
             misled |= missed != 0.0
@@ -1133,19 +1141,20 @@ cdef inline double _product(const double* before, const double* after, int i, in
 
 
 cdef inline void _small_rotation(const double* before, const double* after, double* angles) noexcept:
-    """Fill in the rotation from one attitude to the next about the body's axes (right to third order), radians."""
+    """Fill in the rotation between two attitudes about the body's axes (to third order), radians."""
     cdef double x = 0.5 * (_product(before, after, 2, 1) - _product(before, after, 1, 2))
     cdef double y = 0.5 * (_product(before, after, 0, 2) - _product(before, after, 2, 0))
     cdef double z = 0.5 * (_product(before, after, 1, 0) - _product(before, after, 0, 1))
-    # The sine of the angle is in these; angle / sine = 1 + angle^2 / 6 + ...
+    # These contain the sine of the angle; angle / sine = 1 + angle^2 / 6 + ...
     cdef double longer = 1.0 + (x * x + y * y + z * z) / 6.0
     angles[0], angles[1], angles[2] = x * longer, y * longer, z * longer
 
 
 cdef double _heading_rate(const double* R, double dt, double p, double q, double r) noexcept:
-    """Return how fast the heading of a body at an attitude goes on that turns at mean rates for a tick.
+    """Return the rate of the heading of a body that turns at mean rates for a tick.
 
-    By the whole rotation of the tick, of the body's x axis (Rodrigues): rates of angles have none near the vertical.
+    By the whole rotation of its x axis in the tick (Rodrigues), as rates of Euler angles do not exist near the
+    vertical.
     """
     cdef double x = p * dt, y = q * dt, z = r * dt, square = x * x + y * y + z * z, angle = sqrt(square)
     cdef double s = 1.0 - square / 6.0, c = 0.5
@@ -1162,7 +1171,7 @@ cdef double _heading_rate(const double* R, double dt, double p, double q, double
 
 
 cdef inline double _magnetic_heading(const double* level, const double* field) noexcept:
-    """Return the angle clockwise from magnetic north, roll and pitch of a field in body axes taken back."""
+    """Return the heading, clockwise from magnetic north, by a field in body axes, with roll and pitch removed."""
     cdef double across = field[1] * level[0] - field[2] * level[1]
     cdef double forward = field[0] * level[2] + (field[1] * level[1] + field[2] * level[0]) * level[3]
     return atan2(-across, forward)
