@@ -170,8 +170,6 @@ _EXCUSES = (
     ExcuseRule(("accel_z",), (*GYROS, *MOTION), 2.0 * _VELOCITY_WASHOUT_S),
     # An estimator that received a wrong GPS tilts the attitude, and later takes the tilt back without a rotation.
     ExcuseRule(GYROS, _POSITION, 2.0 * _VELOCITY_WASHOUT_S),
-    # A tilt that remains after a gyro's fault cannot be told from a fault of an accelerometer in hover.
-    ExcuseRule(ACCELEROMETERS, GYROS, 2.0 * _VELOCITY_WASHOUT_S),
 )
 
 
