@@ -69,6 +69,8 @@ class Given(NamedTuple):
     rows: NDArray[np.intp] | slice = slice(None)
     # standard deviation of the faults that y itself holds an estimate of, by name (n,), in their units
     spread: Mapping[str, NDArray[np.float64]] = MappingProxyType({})
+    # their sizes where the transform knows them, before the observer's estimates have risen to them; 0: unknown
+    sizes: Mapping[str, NDArray[np.float64]] = MappingProxyType({})
     # where y counts as lost because the received values are unlike the fitted flights (n,), not because they are
     # missing
     unflown: NDArray[np.bool_] | None = None

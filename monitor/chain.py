@@ -428,6 +428,10 @@ class ObserverChain:
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
         for index, effect in effects.items():
             shown.isolated[:, index], shown.sd[:, index] = effect.size, sd[:, index]
+        for name, size in given.sizes.items():
+            if name in self.layout.faults:
+                isolated = shown.isolated[:, self.layout.faults.index(name)]
+                isolated[:] = np.where((size != 0.0) & (isolated != 0.0), size, isolated)
         with np.errstate(divide="ignore", invalid="ignore"):
             size_sd = shown.sd * (wide / sd)
         estimates = Estimates(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from adapters.logs.recordings import read_batches
 from adapters.sample import Given
@@ -32,3 +33,20 @@ def test_two_standard_deviations_hold_healthy_errors_19_times_of_20(quad_profile
     assert inside[flight.armed].mean(axis=0) == pytest.approx(0.95, abs=0.02)
     again = fit_spread(measured, observer.model, quad_profile.gate, [flight])
     assert list(again.values()) == pytest.approx([1.0] * len(again), rel=0.02)
+
+
+def test_a_size_that_the_samples_hold_is_not_awaited_from_the_observer(quad_profile: Profile, data: Path) -> None:
+    observer = next(one for one in quad_profile.observers if one.name == "motors")
+    flight = flight_samples(
+        read_batches(data / "copter_motor3_090.tlog.xz"), observer.source, observer.rate_hz, quad_profile.gate
+    )
+    index = next(at for at, channel in enumerate(observer.faults) if channel.name == "motor3")
+
+    def isolated(sizes: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+        chain = ObserverChain(observer, "quad", quad_profile.gate, VehicleClock())
+        return chain.estimate(Given(flight.samples, sizes=sizes), flight.armed).estimates.isolated[:, index]
+
+    own = isolated({})
+    assert own.any()
+    known = np.where(np.arange(len(own)) % 2 == 0, -0.5, 0.0)
+    assert isolated({"motor3": known}) == pytest.approx(np.where((own != 0.0) & (known != 0.0), known, own))

@@ -178,6 +178,7 @@ def test_the_size_of_a_fault_is_within_twice_its_standard_deviation(name: str, s
         given = transform.run(part(raw, first, 100))
         fault = transform.navigation.faults[NAMES.index(name)]
         within.append(abs(fault - size) <= 2.0 * given.spread[name][-1] < size)
+        assert given.sizes[name][-1] == fault
     assert not any(within[: ONSET // 100])
     # sizes a second apart hardly differ: all of them but the first are right, or none is
     assert np.mean(within[ONSET // 100 + 5 :]) >= 0.8

@@ -9,6 +9,7 @@ from monitor.core.navigation import Navigation
 class StrapdownCore:
     scores: NDArray[np.float64]
     spreads: NDArray[np.float64]
+    sizes: NDArray[np.float64]
 
     def __init__(
         self,

@@ -238,6 +238,8 @@ cdef class StrapdownCore:
     spreads : ndarray
         Standard deviations of the faults of gyros x, y, z, accelerometers x, y and compass as the navigation judges
         them in each of these samples (n, 6); 0 where it does not.
+    sizes : ndarray
+        Sizes of the faults of gyros and accelerometers that it believes (n, 5); 0 where it believes none.
     """
 
     cdef bint _gps, _baro, _mag, _hectopascal
@@ -251,7 +253,7 @@ cdef class StrapdownCore:
     cdef double _down_share, _down_hidden
     # By how much faster the square of what GPS and inertial sensors drift apart grows for what a line hides.
     cdef double _hidden
-    cdef readonly object scores, spreads
+    cdef readonly object scores, spreads, sizes
     cdef int _washed
     cdef double _biased_s, _attitude_share
     cdef bint _learned
@@ -464,8 +466,8 @@ cdef class StrapdownCore:
         cdef double[:, ::1] u = inputs, y = outputs, ahead = later
         likeliest = np.zeros(most)
         cdef double[::1] scores = likeliest
-        uncertain = np.zeros((most, 6))
-        cdef double[:, ::1] spreads = uncertain
+        uncertain, believed = np.zeros((most, 6)), np.zeros((most, 5))
+        cdef double[:, ::1] spreads = uncertain, sizes = believed
         larger = np.ones(most)
         cdef double[::1] beyond = larger
         cdef double forgotten = (1.0 - self._keep[2]) / self._count
@@ -521,6 +523,8 @@ cdef class StrapdownCore:
                         # of gyros and compass the attitude tells, unless it is misled
                         if 3 <= i < 5 or self._biased_s > 0.0:
                             spreads[count, i] = self._navigation.spread(i)
+                            if i < 5:
+                                sizes[count, i] = self._navigation.fault(i)
                 for i in range(self._outputs):
                     y[count, i] = self._y[i]
                     if i >= self._washed:
@@ -556,7 +560,7 @@ cdef class StrapdownCore:
         if count < most:
             whole, marks, ends = whole[:, :count], marks[:, :count], ends[:count]
             inputs, outputs, lacking = inputs[:count], outputs[:count], lacking[:count]
-        self.scores, self.spreads = likeliest[:count], uncertain[:count]
+        self.scores, self.spreads, self.sizes = likeliest[:count], uncertain[:count], believed[:count]
         return Given(
             Samples(whole[0], whole[1], whole[2], inputs, outputs, marks[0], marks[1], whole[3], marks[2], lacking),
             ends,

@@ -185,7 +185,10 @@ class Strapdown:
         given = self._core.run(self._learned.run(samples) if self._learned else samples)
         if self.navigation is None:
             return given
-        return given._replace(spread=dict(zip(_JUDGED, self._core.spreads.T, strict=True)))
+        return given._replace(
+            spread=dict(zip(_JUDGED, self._core.spreads.T, strict=True)),
+            sizes=dict(zip(_JUDGED, self._core.sizes.T, strict=False)),
+        )
 
     @property
     def scores(self) -> NDArray[np.float64]:
