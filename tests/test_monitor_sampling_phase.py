@@ -141,3 +141,15 @@ def test_a_contest_ends_with_the_true_reports_on_the_ground() -> None:
     true = [beat(at, 209 if at < 20 else 81) for at in range(40)]
     found = states(true + [beat(10.4 + at, 81) for at in range(12)])
     assert found[-1] == (False, None, ())
+
+
+def test_a_vehicle_that_stays_in_the_air_although_it_is_disarmed_contradicts_itself() -> None:
+    beats = [beat(at, 209 if at < 10 else 81) for at in range(30)]
+    found = states(sorted([*beats, *(landed(at + 0.5, 2) for at in range(30))], key=lambda m: m.received_ns))
+    assert found[2 * 14] == (False, "air", ())
+    assert found[2 * 16] == (False, "air", ("landed_state",))
+    # the slower of two links reports the landing later
+    late = states(
+        sorted([*beats, *(landed(at + 0.5, 2 if at < 13 else 1) for at in range(30))], key=lambda m: m.received_ns)
+    )
+    assert all(not contested for _, _, contested in late)

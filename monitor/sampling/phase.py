@@ -14,8 +14,8 @@ another vehicle, and a vehicle in the air does not take off: whoever reports tha
 
 A landing vehicle counts as in the air until it is near the ground, by its reported height above home: a descent takes
 as long as many a flight. A vehicle that does not report whether it flies is near the ground by that height, too. Where
-no height comes, a landing vehicle sinks, by the altitude of its GPS: while it does not, and its motors run as in hover,
-it counts as in the air.
+no height comes, a landing vehicle sinks, by the altitude of its GPS: while it does not, or the GPS was lost, and its
+motors run as in hover, it counts as in the air.
 
 Nobody else writes into a vehicle's own log, and it holds a report for each change: its reports are never contested.
 """
@@ -42,9 +42,10 @@ _LANDED: dict[int, Landed] = {1: "ground", 2: "air", 3: "takeoff", 4: "landing"}
 CONTESTED = {
     "HEARTBEAT": "its HEARTBEAT alternates between armed and disarmed, or between two vehicles",
     "EXTENDED_SYS_STATE": "its EXTENDED_SYS_STATE alternates between flying and not flying",
+    "landed_state": "its HEARTBEAT reports that it is disarmed, its EXTENDED_SYS_STATE that it is in the air",
     "PARAM_VALUE": "its PARAM_VALUE reports another frame in flight than before",
 }
-"""The messages that two senders answer by turns, with a sentence for each."""
+"""What two senders contradict each other in, with a sentence for each."""
 _WINDOW_NS = 10_000_000_000
 """Time over which changes are counted: ten heartbeats at MAVLink's rate of one a second."""
 _TURNS = 3
@@ -61,6 +62,9 @@ keep their period, and do not come in bursts from a link that holds them back, a
 as much."""
 _RECENT_NS = 3_000_000_000
 """How long a contested report counts: three heartbeats, as one or two may be lost."""
+_APART_NS = 5_000_000_000
+"""How long a vehicle may be disarmed and in the air by its reports. They come 0.2 to 4 s apart, and ArduPilot's planes
+count as flying for 3 s after they stand."""
 _HIGH_MM = 2000
 """Height above home from which on a landing vehicle is still watched, millimetres. Chosen: rotors feel the ground up to
 two of their diameters, and a height is off by this much after a long flight."""
@@ -71,8 +75,6 @@ _SINKS_MM = 1000
 """By how much a landing vehicle sinks within ``_SINKS_NS``, millimetres: autopilots land with 0.3 m/s and more, 1.5 m
 in that time."""
 _SINKS_NS = 5_000_000_000
-_NO_ALTITUDE = 0, 1, 2
-"""Types of a GPS's fix without an altitude."""
 _MOST_REPORTS = 64
 """Most reports that are remembered. Chosen: at 6 Hz more than the time over which changes are counted; a flood needs no
 more memory."""
@@ -166,10 +168,13 @@ class FlightPhase:
         self._landings = Said()
         # the last message that reported another vehicle in flight, and its time
         self._other: tuple[str, int] = ("", -LATEST_NS)
+        self._apart_ns: int | None = None  # since when it is disarmed and in the air by its reports
         self._high_ns: int | None = None  # when it was last reported to be high; None: it is low, or unknown
         self._height_ns: int | None = None  # when its height was last reported; None: not of late
-        # the GPS's last fix, when its altitude last was a metre below the highest since then, and this highest
-        self._fix_ns, self._sank_ns, self._highest_mm = -LATEST_NS, -LATEST_NS, -inf
+        # the GPS's last fix; when its altitude last was a metre below the highest since then, and this highest; whether
+        # that was of late
+        self._fix_ns: int | None = None
+        self._sank_ns, self._highest_mm, self._sinks = -LATEST_NS, -inf, False
         # when it was reported to be at about the height of its home, by all reports of the last second; None otherwise
         self._low_ns: int | None = None
         self._away_ns: int | None = None  # when it was last reported to be at another height
@@ -182,9 +187,9 @@ class FlightPhase:
 
     @property
     def level(self) -> bool:
-        """Whether it lands, at an unknown height, and does not sink."""
+        """Whether it lands, at an unknown height, and does not sink as far as is known."""
         lands = self._landed == "landing" and self._height_ns is None
-        return lands and self._fix_ns > -LATEST_NS and self._fix_ns - self._sank_ns >= _SINKS_NS
+        return lands and self._fix_ns is not None and not self._sinks
 
     @property
     def _stays_up(self) -> bool:
@@ -264,8 +269,7 @@ class FlightPhase:
                 self._landings = self._landings.after(now_ns, self._landed)
             if self._height_ns is not None and not 0 <= now_ns - self._height_ns < _RECENT_NS:
                 self._high_ns = self._height_ns = None
-            if not 0 <= now_ns - self._fix_ns < _RECENT_NS:
-                self._fix_ns = -LATEST_NS
+            self._sinks &= self._fix_ns is not None and 0 <= now_ns - self._fix_ns < _RECENT_NS
             self.hovers &= self.level
             if self._landings.contested and "air" in self._landings.recent():
                 self._landed = "air"
@@ -278,22 +282,25 @@ class FlightPhase:
         self._has_been = self._has_been[0] or bool(self._armed), self._has_been[1] or self._landed == "air"
         contests = {"HEARTBEAT": self._beats, "EXTENDED_SYS_STATE": self._landings}
         contested = {name for name, said in contests.items() if said.contested}
+        if self._armed is not False or self._landed != "air" or self.logged:
+            self._apart_ns = None
+        elif self._apart_ns is None or now_ns < self._apart_ns:
+            self._apart_ns = now_ns
+        elif now_ns - self._apart_ns >= _APART_NS:
+            contested.add("landed_state")
         other, other_ns = self._other
         self.contested = tuple(sorted(contested | {other} if 0 <= now_ns - other_ns < _WINDOW_NS else contested))
 
     def _follow_altitude(self, message: Message) -> None:
         """Follow by the GPS's altitude whether the vehicle sinks."""
-        altitude = message.fields.get("alt")
-        if (
-            message.source is not MAVLINK
-            or not isinstance(altitude, int | float)
-            or message.fields.get("fix_type", 3) < 3
-        ):
+        now_ns, altitude = message.received_ns, message.fields.get("alt")
+        has_fix = message.source is MAVLINK and message.fields.get("fix_type") not in (0, 1, 2)
+        if not has_fix or not isinstance(altitude, int | float):
             return
-        self._fix_ns = message.received_ns
         if altitude <= self._highest_mm - _SINKS_MM:
-            self._sank_ns, self._highest_mm = message.received_ns, altitude
-        self._highest_mm = max(self._highest_mm, altitude)
+            self._sank_ns, self._highest_mm = now_ns, altitude
+        self._fix_ns, self._highest_mm = now_ns, max(self._highest_mm, altitude)
+        self._sinks = 0 <= now_ns - self._sank_ns < _SINKS_NS
         self.hovers &= self.level
 
     def _identify(self, message: Message) -> None:
