@@ -98,7 +98,7 @@ def begun(packets: Sequence[Due], commanded: bool) -> list[Due]:
         (ground, mavlink.MAVLink_command_long_message(system, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)),
     ]
     first = next(one for _, one in packets if message_number(one) == _ATTITUDE)
-    prelude = [first, *(bytes(message.pack(sender)) for sender, message in said)]
+    prelude = [set_back(first, round(PRELUDE_S * 1e9)), *(bytes(message.pack(sender)) for sender, message in said)]
     return [(k * SECOND_NS // 10, one) for k, one in enumerate(prelude) if commanded] + [
         (due + round(PRELUDE_S * 1e9), packet) for due, packet in packets
     ]

@@ -40,6 +40,9 @@ _LEAST_SAMPLES = 3
 _AFTER_RESTART_NS = SECOND_NS
 """Time beyond settling for which no evidence is expected after a restart, after a reboot for instance: until samples
 come again, for which a second was enough in all recordings with an inserted reboot."""
+_DOWN_NS = 5_500_000_000
+"""How long no evidence is expected of motors whose command says that the vehicle came down: PX4 reports for 3 to 5 s
+after touch-down that it flies. Afterwards one of the two is not true."""
 _SLOT_NS = 500_000_000
 """Period at which an active alarm is checked. Chosen: its end is known half a second late at most."""
 _UPDATE_NS = SECOND_NS
@@ -153,6 +156,11 @@ class EvidenceFlow:
                 restarted = restarts.size and restarts[-1] > rows[-1]
                 group.granted_ns = max(self.limit_ns, self.settle_ns + _AFTER_RESTART_NS if restarted else 0)
 
+    def stand(self) -> None:
+        """Expect no evidence for a while, as the vehicle came down by its command."""
+        for group in self.groups:
+            group.granted_ns = max(group.granted_ns, _DOWN_NS)
+
     @property
     def overdue(self) -> bool:
         """Whether all evidence is overdue at the time of the latest :meth:`lacks`."""
@@ -194,6 +202,8 @@ class EvidenceFlow:
         lift = self.chain.source.lift
         if lift is not None and not self.chain.gate.carried:
             return f"flight not carried by its {lift.by} alone", "not_carried"
+        if self.chain.gate.down:
+            return "commands too small for flight", "contradicted"
         if still := self.chain.sampler.still:
             return f"{' and '.join(still)} frozen", "gap"
         if self._lost:

@@ -420,6 +420,8 @@ class Pipeline:
         for chain, flow, run in zip(self._chains, self._blind.flows, runs, strict=True):
             if run is not None:
                 flow.follow(run, received)
+                if chain.gate.down:
+                    flow.stand()
                 if chain.gate.idle >= 0:
                     idle_ns = max(idle_ns, received(int(run.position[chain.gate.idle])))
         if not self._flies():

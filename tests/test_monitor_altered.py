@@ -75,8 +75,9 @@ def test_stamps_that_go_on_at_another_pace_are_an_impostors(
         received,
         lambda m, s: received(m, max(0.0, 2.0 - 0.1 * s)),
         lambda m, s: received(stamped(m, 0.1 * s), 0.1 * s),
+        lambda m, s: stamped(m, 4.0),
     ],
-    ids=["link_falls_behind", "simulation_at_half_speed", "link_catches_up", "lower_rate"],
+    ids=["link_falls_behind", "simulation_at_half_speed", "link_catches_up", "lower_rate", "clock_set_ahead"],
 )
 def test_links_and_simulations_of_another_pace_are_no_impostors(
     profile: Profile, flight: list[Message], change: Callable[[Message, float], Message]
@@ -114,6 +115,15 @@ def test_outputs_at_a_limit_are_no_impostors(
     profile: Profile, flight: list[Message], values: Callable[[float], dict[str, int]]
 ) -> None:
     assert "impostor" not in [event.channel for event in events_of(profile, outputs(flight, values))]
+
+
+def test_commands_too_small_for_flight_blind_a_vehicle_that_reports_to_fly(
+    profile: Profile, flight: list[Message]
+) -> None:
+    stopped = dict.fromkeys(("servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw"), 1000)
+    [blind] = raised(profile, outputs(flight, lambda s: stopped if s >= 0.0 else {}))
+    assert blind.message == "the vehicle flies and is not watched: motors: commands too small for flight for 5 s"
+    assert 5.5 < since_s(flight, blind) < 6.1
 
 
 def landing(flight: list[Message], sinks_mm_s: float | None, command: int | None) -> list[Message]:

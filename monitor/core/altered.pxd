@@ -22,7 +22,7 @@ cdef class Stands:
 
 
 cdef class Pace:
-    cdef long long _first, _first_received, _last, _span
+    cdef long long _first, _first_received, _last, _last_received, _span
     cdef int _steps, _changed
     cdef double _usual, _usual_pace
     # The latest mean period in usual ones.

@@ -34,6 +34,9 @@ cdef double ALIKE = 0.25
 # Steps and time, at least, of which a mean is taken; longest step in periods that counts, as some may be lost.
 cdef int STEPS = 16
 cdef int LONGEST = 3
+# A step of stamps that differs by more from that of arrivals is a jump of the clock, or of the link's delay. Chosen: as
+# long as the vehicle's clock takes a stamp for early (monitor/core/sampling.pyx).
+cdef long long JUMP = 250_000_000
 # Means that changed before they are compared, and after which a period that the pace does not follow is another rate.
 cdef int CHANGED = 3
 cdef int RATE = 8
@@ -109,7 +112,7 @@ cdef class Pace:
 
     cdef bint take(self, long long stamp, long long received) noexcept:
         """Take a stamp; return whether stamps come at another pace than before, and as often."""
-        cdef long long step = stamp - self._last, gone = received - self._first_received
+        cdef long long step = stamp - self._last, gone = received - self._first_received, jump
         cdef double periods = 1.0, period, pace
         if not -10 * SECOND < step < 10 * SECOND or gone < 0:
             self._usual, self._changed = 0.0, 0
@@ -117,9 +120,14 @@ cdef class Pace:
             return False
         if step <= 0:
             return False
-        self._last = stamp
+        jump = step - (received - self._last_received)
+        self._last, self._last_received = stamp, received
         if self._usual > 0.0:
             periods = rint(<double>step / self._usual)
+        if not -JUMP < jump < JUMP and (self._usual == 0.0 or periods > LONGEST):
+            self._changed = 0
+            self.begin(stamp, received)
+            return False
         if periods <= LONGEST:
             self._span += step
             self._steps += max(1, <int>periods)
@@ -145,4 +153,5 @@ cdef class Pace:
     cdef void begin(self, long long stamp, long long received) noexcept:
         """Begin to take a mean."""
         self._first = self._last = stamp
-        self._first_received, self._span, self._steps = received, 0, 0
+        self._first_received = self._last_received = received
+        self._span, self._steps = 0, 0

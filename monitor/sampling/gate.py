@@ -88,7 +88,9 @@ class FlightGate:
         self._lifted = False  # whether a vehicle that reports that it flies has lifted off, and not come down since
         self._low_ns: int | None = None  # vehicle time since which its command is too small for flight; None: it is not
         self._reported_ns: int | None = None  # vehicle time since which it reports that; None where it does not
-        self._idle = -1
+        self._down = self.down = False  # whether it came down by its command, and still reports that it flies; lately
+        # the last row of the latest samples before it lifted off; or with a mean command too small for flight, too
+        self._waits, self._idle = -1, -1
         self.by_command = False
         self._lift = lift
         self._least = lift.least_command if lift is not None and commands and lift.least_command > 0.0 else None
@@ -136,7 +138,8 @@ class FlightGate:
         self.carried = lift is None or phase.carried in (None, lift.by)
         allowed, least = allows(rule, phase), rule.airborne_command if by_command else self._least
         if not allowed:
-            self._lifted, self._reported_ns, self._low_ns = False, None, None
+            self._lifted, self._reported_ns, self._low_ns, self._down = False, None, None, False
+        self.down, self._waits = self._down, -1
         reported = allowed and rule.require_airborne and commands and phase.landed is not None
         flies = self._flies(samples) if reported else np.ones(len(samples), np.bool_)
         cuts = [0, *(np.flatnonzero(np.diff(flies)) + 1).tolist(), len(samples)]
@@ -145,7 +148,7 @@ class FlightGate:
             for start, stop in pairwise(cuts)
             if start < stop
         ]
-        self._idle = max(np.flatnonzero(~flies)[-1:].tolist(), default=self._settling.idle if self.by_command else -1)
+        self._idle = max(self._waits, self._settling.idle if self.by_command else -1)
         self.carried &= self._least is None or self._settling.commanded
         return np.concatenate(parts) if parts else flies
 
@@ -163,12 +166,16 @@ class FlightGate:
                 self._reported_ns = time_ns
             if not self._lifted:
                 self._lifted = bool(hovers[row]) or (not is_low and time_ns - self._reported_ns >= _LIFTED_NS)
+                self._down &= not self._lifted
+                if not (self._lifted or self._down):
+                    self._waits = row
             elif not is_low:
                 self._low_ns = None
             elif self._low_ns is None:
                 self._low_ns = time_ns
             elif time_ns - self._low_ns >= _LOW_NS:
                 self._lifted, self._reported_ns, self._low_ns = False, time_ns, None
+                self._down = self.down = True
             flies[row] = self._lifted
         return flies
 
