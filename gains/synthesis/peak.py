@@ -17,6 +17,7 @@ Noise counts once: with the error coordinates zeta~ + F D w only w itself drives
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -29,8 +30,10 @@ from gains.synthesis.design import Design
 _FORGOTTEN = 1e-6
 """Share of the largest error of each kind at which the sums end. The remainder is bounded and added."""
 _LONGEST = 200_000
-"""Largest number of samples that are summed: 33 minutes at 100 Hz, a second of computing. An error that lasts longer
-gets no bound."""
+"""Largest number of samples that are summed: 33 minutes at 100 Hz. An error that lasts longer gets no bound."""
+_TOGETHER = 64
+"""Samples that are summed by one product. Measured on an error that lasts 5 s at 100 Hz: 1 takes five times as long,
+more than 64 are no faster."""
 _SHARE, _SHOWN = 1e-5, 0.01
 """Shares of a bound from which a cause is listed, above the remainder of the sums, and from which it is printed."""
 
@@ -93,12 +96,14 @@ def _summed(A: FloatArray, B: FloatArray, C: FloatArray, sizes: FloatArray) -> F
         step, power = A @ step, power + 1
         if power > _LONGEST or not np.all(np.isfinite(step)):
             return None
+    together = min(power, _TOGETHER)
+    rows = np.vstack([*itertools.accumulate(range(1, together), lambda block, _: block @ A, initial=C)])
+    leap = np.linalg.matrix_power(A, together)
     total, X = np.zeros((len(C), B.shape[1])), B
-    for _ in range(_LONGEST // power + 1):
-        for _ in range(power):
-            total += np.abs(C @ X)
-            X = A @ X
-        # the remainder halves with each block of this many steps
+    for _ in range(_LONGEST // together + 1):
+        total += np.sum(np.abs(rows @ X).reshape(together, *total.shape), axis=0)
+        X = leap @ X
+        # after ``power`` steps no more than half of what is left remains
         left = 2.0 * row_sums[:, None] * np.max(np.abs(X), axis=0, initial=0.0)
         if np.all(left <= _FORGOTTEN * np.max(total, axis=1, keepdims=True, initial=0.0)):
             return np.asarray(total + left)
