@@ -101,16 +101,12 @@ def play_batches(
         The recording reports another vehicle, and ``force`` is not set; no file ``record`` is left.
     """
     pipeline = Pipeline(profile, vehicle, force=force)
-    builders = {layout.observer: TraceBuilder(layout, trace_rows) for layout in pipeline.layouts} if keep_traces else {}
-    events: list[AlarmEvent] = []
-    count = 0
-    seen: set[str] = set()
-    rows = {layout.observer: (0, 0, 0) for layout in pipeline.layouts}
+    kept = _Kept(pipeline, trace_rows if keep_traces else 0)
     with ExitStack() as stack:
         recorder = _recorder(stack, record, pipeline) if record is not None else None
         for batch in batches:
-            count += batch.count
-            seen |= batch.names
+            kept.messages += batch.count
+            kept.names |= batch.names
             if recorder is not None:
                 _record(recorder, pipeline, batch)
             outputs = pipeline.run(batch)
@@ -120,43 +116,66 @@ def play_batches(
                     record.unlink(missing_ok=True)
                 raise OtherVehicleError(f"{pipeline.refused}; take its own profile, or go on with --force")
             for output in outputs:
-                if isinstance(output, Estimates):
-                    taken, armed, coasted = rows[output.observer]
-                    armed += int(np.count_nonzero(output.armed))
-                    coasted += int(np.count_nonzero(output.coasted_s))
-                    rows[output.observer] = taken + len(output), armed, coasted
+                kept.add(output)
+                if isinstance(output, AlarmEvent):
                     if recorder is not None:
-                        recorder.estimates(output)
-                    if keep_traces:
-                        builders[output.observer].extend(output)
-                    continue
-                events.append(output)
-                if recorder is not None:
-                    recorder.event(output)
-                if on_event is not None:
-                    on_event(output)
+                        recorder.event(output)
+                    if on_event is not None:
+                        on_event(output)
+                elif recorder is not None:
+                    recorder.estimates(output)
         if recorder is not None:
             recorder.add_metadata(pipeline.metadata())
-    sampling = pipeline.statistics()
-    watches = {
-        layout.observer: Watch(*rows[layout.observer], layout.rate_hz, sampling[layout.observer])
-        for layout in pipeline.layouts
-    }
-    return Replay(
-        events=tuple(events),
-        traces=tuple(builder.build() for builder in builders.values()),
-        samples=sum(watch.samples for watch in watches.values()),
-        evidence=sum(watch.evidence for watch in watches.values()),
-        watched_s=max((watch.watched_s for watch in watches.values()), default=0.0),
-        messages=count,
-        thresholds=pipeline.thresholds,
-        lacking={observer: tuple(sorted(needs - seen)) for observer, needs in pipeline.needs.items() if needs - seen},
-        watches=watches,
-        foreign=pipeline.foreign,
-        mismatch=pipeline.mismatch,
-        outside=pipeline.furthest,
-        conditions=tuple(pipeline.conditions),
-    )
+    return kept.replay()
+
+
+class _Kept:
+    """What is kept of a recording and of the pipeline's outputs: at most ``trace_rows`` estimates of each observer."""
+
+    def __init__(self, pipeline: Pipeline, trace_rows: int) -> None:
+        self._pipeline = pipeline
+        self._traces = {one.observer: TraceBuilder(one, trace_rows) for one in pipeline.layouts if trace_rows}
+        self._rows = {one.observer: (0, 0, 0) for one in pipeline.layouts}  # samples, evidence and coasted
+        self._events: list[AlarmEvent] = []
+        self.messages = 0
+        self.names: set[str] = set()
+
+    def add(self, output: Estimates | AlarmEvent) -> None:
+        """Count and keep an output."""
+        if isinstance(output, AlarmEvent):
+            self._events.append(output)
+            return
+        samples, evidence, coasted = self._rows[output.observer]
+        evidence += int(np.count_nonzero(output.armed))
+        coasted += int(np.count_nonzero(output.coasted_s))
+        self._rows[output.observer] = samples + len(output), evidence, coasted
+        if self._traces:
+            self._traces[output.observer].extend(output)
+
+    def replay(self) -> Replay:
+        """Return the result, at the recording's end."""
+        pipeline = self._pipeline
+        sampling = pipeline.statistics()
+        watches = {
+            one.observer: Watch(*self._rows[one.observer], one.rate_hz, sampling[one.observer])
+            for one in pipeline.layouts
+        }
+        lacking = {observer: tuple(sorted(needs - self.names)) for observer, needs in pipeline.needs.items()}
+        return Replay(
+            events=tuple(self._events),
+            traces=tuple(builder.build() for builder in self._traces.values()),
+            samples=sum(watch.samples for watch in watches.values()),
+            evidence=sum(watch.evidence for watch in watches.values()),
+            watched_s=max((watch.watched_s for watch in watches.values()), default=0.0),
+            messages=self.messages,
+            thresholds=pipeline.thresholds,
+            lacking={observer: names for observer, names in lacking.items() if names},
+            watches=watches,
+            foreign=pipeline.foreign,
+            mismatch=pipeline.mismatch,
+            outside=pipeline.furthest,
+            conditions=tuple(pipeline.conditions),
+        )
 
 
 def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:
