@@ -20,6 +20,7 @@ from replay.wear.trend_command import add_trend
 if TYPE_CHECKING:
     from adapters.batch import Batch
     from adapters.logs.damage import Damage
+    from replay.fit import FitReport
 
 
 _FASTEST_HZ = 1000.0
@@ -136,7 +137,7 @@ def run_fit(args: argparse.Namespace) -> int:
     from monitor.fitting.flights import part_of
     from monitor.fitting.kept_flights import kept_model
     from monitor.fitting.progress import Stages, track
-    from monitor.profile import PROFILE_FILE, read_profile
+    from monitor.profile import read_profile
     from monitor.vehicles.kinds import fit_reading
     from replay.fit import fit_profile, name_by_folder
     from replay.runs.log_list import check_output_folder
@@ -176,13 +177,7 @@ def run_fit(args: argparse.Namespace) -> int:
         raise type(error)(_about_logs(str(error), args.logs, args.model)) from error
     stages.flush()
     damaged = _warn(part for path in args.logs for part in damage.get(path, ()))
-    remark(*report.warnings)
-    if report.set_aside is not None:
-        was, kept = out / PROFILE_FILE, f" but for {', '.join(report.edits)}" if report.edits else ""
-        edited = "as it was" if args.update else "edited or not"
-        remark(f"{was} is written anew{kept}; what stood there, {edited}, is {report.set_aside}")
-    for left_out in report.left_out:
-        remark(f"{out}: {left_out} is kept no longer, there is room for the newest flights only")
+    _remark_on(report, out, updated=bool(args.update))
     if args.json:
         say_json(report.to_json() | {"damage": damaged})
         return 0
@@ -191,6 +186,19 @@ def run_fit(args: argparse.Namespace) -> int:
     say(*report.text())
     say("The thresholds are in profile.toml and may be edited; fit.txt and fit.png say how good the fit is.")
     return 0
+
+
+def _remark_on(report: FitReport, out: Path, updated: bool) -> None:
+    """Write to stderr why the profile is worse than it could be, and what it replaced."""
+    from monitor.profile import PROFILE_FILE
+
+    remark(*report.warnings)
+    if report.set_aside is not None:
+        was, kept = out / PROFILE_FILE, f" but for {', '.join(report.edits)}" if report.edits else ""
+        edited = "as it was" if updated else "edited or not"
+        remark(f"{was} is written anew{kept}; what stood there, {edited}, is {report.set_aside}")
+    for left_out in report.left_out:
+        remark(f"{out}: {left_out} is kept no longer, there is room for the newest flights only")
 
 
 def _check_fit(args: argparse.Namespace) -> None:

@@ -127,58 +127,56 @@ def _replay(
     progress: bool,
     started_s: float,
 ) -> LogOutcome:
-    kind = recording_kind(task.path)
     vehicle = task.vehicle or recorded_vehicle(task.path)
     recording = Recording(task.path, None if task.record else interests(profile), task.mapping)
-    meter = RecordingMeter()
-    if live is not None:
-        batches = live.batches(profile, task, vehicle)
-    else:
-        batches = recording.batches()
-        if progress:
-            size = recording_bytes(task.path)
-            batches = track(batches, Path(task.log).name, total_bytes=size, weigh=lambda batch: batch.count)
+    batches = recording.batches() if live is None else live.batches(profile, task, vehicle)
+    if live is None and progress:
+        size = recording_bytes(task.path)
+        batches = track(batches, Path(task.log).name, total_bytes=size, weigh=lambda batch: batch.count)
+    meter, drawn = RecordingMeter(), bool(task.plot or task.rrd or task.report)
     found = play_batches(
         profile,
         meter.watch(batches),
         vehicle=vehicle,
         record=task.record,
         keep_traces=True,
-        trace_rows=MAX_ROWS if task.plot or task.rrd or task.report else FEW_ROWS,
+        trace_rows=MAX_ROWS if drawn else FEW_ROWS,
         on_event=on_event,
         force=task.force,
     )
-    facts = meter.facts()
-    verdict = _verdict(found, profile, facts)
-    stated = stated_facts(task.path) if task.report else None
-    results = findings(profile, found.events, found.traces)
-    damage = recording.damage()
     run = Run(
         profile=profile,
         folder=task.folder or Path(profile.name),
         log=task.path,
         vehicle=vehicle or profile.name,
-        verdict=verdict,
+        verdict=_verdict(found, profile, meter.facts()),
         replay=found,
-        recording=facts,
-        damage=damage,
-        truth=known_truth(task.path, found.traces) if task.plot or task.rrd or task.report else {},
-        facts=stated,
+        recording=meter.facts(),
+        damage=recording.damage(),
+        truth=known_truth(task.path, found.traces) if drawn else {},
+        facts=stated_facts(task.path) if task.report else None,
     )
-    verdict = f"{Path(task.log).name}: {verdict}"
+    verdict = f"{Path(task.log).name}: {run.verdict}"
     _write(task, run, verdict)
+    return _outcome(task, run, verdict, started_s)
+
+
+def _outcome(task: LogTask, run: Run, verdict: str, started_s: float) -> LogOutcome:
+    """Return what is told of a run, without its traces."""
+    found, profile = run.replay, run.profile
+    results = findings(profile, found.events, found.traces)
     told = {each.name: getattr(found, each.name) for each in fields(Replay)} | {"traces": ()}
     return LogOutcome(
         **told,
         log=task.log,
-        kind=kind,
+        kind=recording_kind(task.path),
         error=None if found.samples else verdict,
         verdict=verdict,
-        sentence=run_sentence(results, stated) if results else "",
+        sentence=run_sentence(results, run.facts) if results else "",
         alarms=tuple(map(alarm_summary, results)),
-        start_ns=facts.first_ns or 0,
-        end_ns=facts.last_ns or 0,
-        damage=damage,
+        start_ns=run.recording.first_ns or 0,
+        end_ns=run.recording.last_ns or 0,
+        damage=run.damage,
         levels=tuple(flight_levels(profile, found.events, found.traces)),
         processor_s=time.thread_time() - started_s,
     )

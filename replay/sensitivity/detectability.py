@@ -138,6 +138,20 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
     ]
     if not subjects:
         raise UsageError(skipped[0] if skipped else f"{folder}: the profile has no alarm to test")
+    return Detectability(
+        profile=profile.name,
+        log=log.name,
+        window_s=(sweep.before_s, sweep.after_s),
+        healthy_alarms=len(healthy.alarms_ns),
+        rows=tuple(_tried(profile, subjects, healthy, sweep, log, track)),
+        skipped=tuple(skipped),
+    )
+
+
+def _tried(
+    profile: Profile, subjects: Sequence[_Subject], healthy: Healthy, sweep: Sweep, log: Path, track: TrialTrack
+) -> list[Row]:
+    """Run each attack at each of its observer's onsets; return the result of each attack."""
     onsets_ns = {s.observer.name: _onsets(s.observer.name, healthy, sweep, log) for s in subjects}
     before_ns, after_ns = round(sweep.before_s * SECOND_NS), round(sweep.after_s * SECOND_NS)
     cut = {
@@ -161,14 +175,7 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
         trials_of = [next(outcomes) for _ in onsets_ns[subject.observer.name]]
         for attack, trials in zip(subject.attacks, zip(*trials_of, strict=True), strict=True):
             rows.append(_row(attack, _unit(attack, subject.rule), trials))
-    return Detectability(
-        profile=profile.name,
-        log=log.name,
-        window_s=(sweep.before_s, sweep.after_s),
-        healthy_alarms=len(healthy.alarms_ns),
-        rows=tuple(rows),
-        skipped=tuple(skipped),
-    )
+    return rows
 
 
 def _chosen(profile: Profile, channels: Sequence[str]) -> list[tuple[ObserverProfile, AlarmRule]]:
