@@ -69,8 +69,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Let no later search for garbage look through modules and collected tests again, and let it search less often."""
-    gc.collect()
+    """Let no search for garbage look through modules and collected tests, and let it search less often."""
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
     gc.enable()

@@ -49,12 +49,17 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
 
 
+@cache
+def imports(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    return [node for node in ast.walk(parsed(path)) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def imported_packages(path: Path) -> set[str]:
     found = set()
-    for node in ast.walk(parsed(path)):
+    for node in imports(path):
         if isinstance(node, ast.Import):
             found |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+        elif node.module and node.level == 0:
             found.add(node.module.split(".")[0])
     return found
 
@@ -106,7 +111,7 @@ def folder(path: Path) -> str:
 def imported_modules(path: Path) -> set[Path]:
     """Return our modules that one imports, wherever in it the import stands."""
     found = set()
-    for node in ast.walk(parsed(path)):
+    for node in imports(path):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in ALLOWED:
             base = ROOT.joinpath(*node.module.split("."))
             names = [base / f"{alias.name}.py" for alias in node.names]
