@@ -160,7 +160,7 @@ def test_a_window_knows_the_phase_of_flight_from_before(quad_profile: Profile) -
     cut = window.messages()
     assert window.names == {message.name for message in cut}
     assert all(m.fields["time_boot_ms"] >= 80_120 for m in window.tail if m.name == "ATTITUDE")
-    assert {message.name for message in cut[:2]} == {"HEARTBEAT", "EXTENDED_SYS_STATE"}
+    assert {message.name for message in cut[:3]} == {"HEARTBEAT", "EXTENDED_SYS_STATE", "GPS_RAW_INT"}
     times = [m.fields["time_boot_ms"] for m in cut if m.name == "ATTITUDE"]
     assert len(times) == 5
     assert 80_100 <= times[0] <= times[-1] < 80_150
