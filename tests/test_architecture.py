@@ -152,7 +152,10 @@ def test_the_architecture_page_names_every_folder_and_only_what_is_there() -> No
 
 @pytest.mark.parametrize(
     ("code", "heavy"),
-    [("import fauio; fauio.build_parser()", HEAVY), ("import monitor.service.live, replay.player", {"scipy", "cvxpy"})],
+    [
+        ("import fauio; fauio.build_parser()", HEAVY),
+        ("import monitor.service.live, replay.player", {"scipy", "cvxpy", "prometheus_client"}),
+    ],
 )
 def test_commands_start_without_heavy_packages(code: str, heavy: set[str]) -> None:
     code += "; import sys; print(' '.join(sys.modules))"

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.errors import TelemetryError
+from adapters.logs.compressed import Window
 from adapters.logs.onboard_log import (
     FieldValues,
     LayoutField,
@@ -23,7 +24,6 @@ from adapters.logs.onboard_log import (
     RecordKind,
     RecordLayout,
     Records,
-    Window,
     layout,
     record_text,
 )

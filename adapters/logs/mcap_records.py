@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from adapters.errors import TelemetryError
-from adapters.logs.onboard_log import Window
+from adapters.logs.compressed import Window
 
 MAX_RECORD_BYTES = 512 * 1024 * 1024
 """Largest record, bytes. Chosen: many times the largest chunk that recorders write; a greater length is damage, and

@@ -1,4 +1,4 @@
-"""Common parts of the readers of onboard logs: a window of a file's bytes, and records of many kinds as columns.
+"""Common parts of the readers of onboard logs: records of many kinds as columns.
 
 An onboard log is a chain of records, each with its kind and length. A reader goes from one to the next and notes only
 where they begin; :class:`Records` then decodes all records of a kind at once.
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, gathered, messages
 from adapters.errors import TelemetryError
-from adapters.logs.compressed import CompressedFile
+from adapters.logs.compressed import Window
 from adapters.logs.damage import ScanStatistics
 from adapters.message import LATEST_NS, Message
 from adapters.source import Source
@@ -288,56 +288,6 @@ class Records:
             (Columns(self.source, name, 0, 0, at, times_ns[at], fields) for name, at, fields in columns),
             {at: Message(self.source, name, int(times_ns[at]), fields) for name, at, fields in rows},
         )
-
-
-class Window:
-    """The bytes of a file from a position on, at least as many as were requested, plain or decompressed.
-
-    It reads ``read_ahead_bytes`` ahead whenever it has to read. ``data`` is the part of the file that is held, another
-    object after each read; ``at`` is the position, as an index of ``data``, which the reader advances.
-    """
-
-    def __init__(self, path: Path, read_ahead_bytes: int) -> None:
-        self._source = CompressedFile(path)
-        self._pieces = iter(self._source)
-        self._read_ahead_bytes = read_ahead_bytes
-        self._dropped = 0
-        self._ended = False
-        self.data = b""
-        self.at = 0
-
-    def fill(self, count: int) -> bool:
-        """Hold at least ``count`` bytes from the position on; return whether the file has as many."""
-        if self.left >= count or self._ended:
-            return self.left >= count
-        pieces = [self.data[self.at :]]
-        missing = max(count, self._read_ahead_bytes) - len(pieces[0])
-        while missing > 0 and (piece := next(self._pieces, None)) is not None:
-            pieces.append(piece)
-            missing -= len(piece)
-        self._dropped += self.at
-        self._ended = missing > 0
-        self.data, self.at = b"".join(pieces), 0
-        return self.left >= count
-
-    @property
-    def offset(self) -> int:
-        """The position as a number of bytes from the start of the (decompressed) file."""
-        return self._dropped + self.at
-
-    def index(self, offset: int) -> int:
-        """Return a position of the file as an index of ``data``."""
-        return offset - self._dropped
-
-    @property
-    def left(self) -> int:
-        """Number of bytes that are held from the position on."""
-        return len(self.data) - self.at
-
-    @property
-    def cut(self) -> bool:
-        """Whether the compressed data was damaged in the part that was read."""
-        return self._source.damaged
 
 
 class OnboardLogReader(ABC):

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from adapters.errors import TelemetryError
+from adapters.logs.compressed import Window
 from adapters.logs.onboard_log import (
     FieldValues,
     LayoutField,
@@ -22,7 +23,6 @@ from adapters.logs.onboard_log import (
     RecordKind,
     RecordLayout,
     Records,
-    Window,
     layout,
     record_text,
     texts,

@@ -26,7 +26,6 @@ from monitor.service.daemon import Daemon
 from monitor.service.inbox import OLDEST_S, Inbox
 from monitor.service.links import Counting, FirstLook, open_links, signing_guard
 from monitor.service.log import ServiceLog
-from monitor.service.metrics_server import MetricsServer
 from monitor.service.ros_diagnostics import RosDiagnostics
 from monitor.service.station import Station
 from monitor.service.systemd import Notifier
@@ -61,6 +60,8 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         inbox = Inbox(config.inbox, OLDEST_S)
         station, links = _open_station(config, read_again, inbox, log, stack)
         if config.metrics.listen is not None:
+            from monitor.service.metrics_server import MetricsServer
+
             stack.callback(MetricsServer(config.metrics.listen, station.health).close)
         notifier = Notifier()
         stack.callback(notifier.close)

@@ -31,7 +31,7 @@ from monitor.recording.record_encoder import RecordEncoder
 from monitor.recording.recorder import Recorder
 from monitor.recording.recover import finish_all
 from monitor.recording.retention import FileSeries
-from monitor.sampling.slow_telemetry import motor_gain
+from monitor.sampling.slow_telemetry import COMMANDS_PER_TICK, motor_gain
 from monitor.service.fleet import Fleet
 from monitor.service.health import Health, LinkHealth, ProcessHealth, link_health, troubles
 from monitor.service.inbox import Inbox
@@ -40,7 +40,6 @@ from monitor.service.log import Level, ServiceLog
 from monitor.service.ros_diagnostics import RosDiagnostics
 from monitor.service.vehicle_monitor import VehicleMonitor
 from monitor.service.vehicle_service import VehicleService
-from monitor.vehicles.multirotor.trim import COMMANDS_PER_TICK
 
 if TYPE_CHECKING:
     import zenoh

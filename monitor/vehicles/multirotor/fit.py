@@ -50,6 +50,7 @@ from monitor.fitting.thresholds import (
 )
 from monitor.profile import FaultChannel, ObserverProfile
 from monitor.sampling.gate import GateRule
+from monitor.sampling.slow_telemetry import COMMANDS_PER_TICK
 from monitor.sampling.supply import BATTERY_MESSAGE, SupplyRule
 from monitor.sampling.transform import LiftRule, SampleSource
 from monitor.vehicles.multirotor.flight_motors import motor_agreement
@@ -65,7 +66,6 @@ from monitor.vehicles.multirotor.identify import (
 from monitor.vehicles.multirotor.signals import hover_pulse, motor_commands, multirotor_channels, range_text
 from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds
 from monitor.vehicles.multirotor.trim import (
-    COMMANDS_PER_TICK,
     SLOW_COMMANDS_HZ,
     TRIM_HZ,
     choose_frame,

@@ -29,16 +29,13 @@ from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from gains.plants.plant import FloatArray
 from monitor.fitting.thresholds import Times
+from monitor.sampling.slow_telemetry import COMMANDS_PER_TICK
 from monitor.vehicles.multirotor.frames import Frame, standard_frames
 from monitor.vehicles.multirotor.identify import USUAL, MultirotorFit
 
 SLOW_COMMANDS_HZ = 25.0
 """Rate of motor commands below which their means are used, hertz. At 25 Hz two samples fall into the lag of a motor (50
 to 100 ms with its link); fewer cannot show how it answers."""
-COMMANDS_PER_TICK = 2
-"""Least number of commands in a tick. Measured on ArduPilot and PX4 at 10 Hz and on radios at 2 Hz: two detect a motor
-with 12 to 15 % less thrust after 0.6 to 4 s, three after 0.5 to 11 s, with as few false alarms; more are later
-still."""
 TRIM_HZ = 1.0
 """Rate of the observer beside a faster one, ticks per second. Measured on 120 flights of a real quadcopter of 30 g with
 cut propellers (15 s each, docs/leaderboard.md): ticks of 0.2 s name a motor in 9 flights, of 1 s in 66."""
