@@ -189,11 +189,17 @@ class Choices:
     FAULTS = (("left",), ("right",), ("left", "right"))
 
     def __init__(
-        self, penalty: float = 25.0, usual: float = 0.0, keep: float = 0.0, washed: Washout | None = None
+        self,
+        penalty: float = 25.0,
+        usual: float = 0.0,
+        keep: float = 0.0,
+        washed: Washout | None = None,
+        lasting: float = 1.0,
     ) -> None:
         # One output, without smoothing: J is the square of the residual.
         self._choice = Choice(
             whitening=np.ones((3, 1, 1)),
+            lasting=np.full((3, 1, 1), lasting),
             spans=[0, 1, 2, 4],
             channel=[0, 1, 0, 1],
             shown=[0, 1],
@@ -250,6 +256,24 @@ def test_the_hypothesis_believed(J: list[list[float]], believed: int) -> None:
 def test_a_second_loss_that_is_small_beside_the_first_may_be_model_error() -> None:
     assert Choices().run([[1000.0, 30.0, 1.0]], (-1.0, -2.0, -0.4, -2.0)).x[-1, 0] == 1.0
     assert Choices().run([[1000.0, 30.0, 1.0]], (-1.0, -2.0, -0.6, -2.0)).x[-1, 0] == 2.0
+
+
+def test_two_losses_that_are_small_beside_manoeuvres_are_named_by_what_lasts() -> None:
+    both = [[4.0, 3.9, 0.2]] * 300
+    assert Choices(lasting=2.0).run(both).x[-1, 0] < 2.0
+    run = Choices(lasting=4.0).run(both)
+    assert run.x[0, 0] < 2.0
+    assert run.x[-1, 0] == 2.0
+    # one of them explains what lasts as well as both
+    assert Choices(lasting=4.0).run([[4.0, 0.3, 0.2]] * 300).x[-1, 0] == 1.0
+
+
+def test_means_of_white_residuals_have_a_smaller_covariance_that_seconds_of_flight_do_not_tell() -> None:
+    quad = Motors(5.0, 3)
+    short = bank_rule(quad.gains, [Segment(*quad.flown([], 20))], smoothing_s=1.0)
+    assert np.array(short.lasting) == pytest.approx(np.array(short.covariances))
+    for mean, one in zip(quad.rule.lasting, quad.rule.covariances, strict=True):
+        assert np.trace(mean) < 0.5 * np.trace(one)
 
 
 def test_two_actuators_that_would_deliver_more_are_never_believed() -> None:

@@ -122,13 +122,20 @@ def profile_page() -> str:
                 ("washout_s", "table", f"{bank['washouts'][1]} By fault."),
                 ("hypotheses.faults", "list", "The faults that may act; the gains are named after them."),
                 ("hypotheses.covariance", "matrix", "Healthy covariance of its smoothed residual (p, p)."),
+                ("hypotheses.lasting", "matrix", "The same of the mean of that residual over `level_s`."),
                 (
                     "hypotheses.edge",
                     "true or false",
                     "Whether it is not compared but watches for edges.",
                 ),
             ],
-            isolation | {"hypotheses.edge": False, "jump_s": 0.03, "washout_s": None},
+            isolation
+            | {
+                "hypotheses.edge": False,
+                "hypotheses.lasting": Words("`covariance`"),
+                "jump_s": 0.03,
+                "washout_s": None,
+            },
         ),
         "\n## `alarms.CHANNEL`\n\nDefaults are those of `threshold = 1`; `clear` and `critical` grow with it.\n",
         _rows(

@@ -10,6 +10,7 @@ class Choice:
     def __init__(
         self,
         whitening: Array,
+        lasting: Array,
         spans: ArrayLike,
         channel: ArrayLike,
         shown: ArrayLike,

@@ -22,10 +22,9 @@ cdef double RIVALS_MEAN = 6.0
 # decision none of the two is held responsible. Chosen: a difference of 5 in J is 2.5 nats, odds of 12; noise does not
 # delay a loss.
 cdef double RIVALS_OPEN = 0.2
-# One of these two explains the data clearly better if its J is below this share of the other's: half of its residual.
-# Then the mean over level_s decides, in units of the present noise. Measured on a motor that delivers 5 % more in 10 Hz
-# logs of two autopilots: J of 10 and 0.3, 8 and 0.1, where the penalty alone asks for a difference of 25.
-cdef double RIVALS_CLEAR = 0.25
+# Share of the J of one hypothesis below which another one is clearly nearer: half of its residual. Chosen: errors of
+# the model leave a fifth of a fault (tolerance) on the right hypothesis, two of them less than a half.
+cdef double CLEAR = 0.25
 # Largest mean J of an actuator that delivers more, as a multiple of the limit below which a J explains the data.
 # Measured on losses put into a flight at 100 Hz: without this limit a third motor was named at the end of one of two
 # losses in 4 of 36 runs; with a factor of 1 a motor that delivers 10 % more is named 0.07 s later; with 4 neither
@@ -34,8 +33,9 @@ cdef double AFTER_SEVERAL = 4.0
 # Where one actuator alone explains the data too, the smaller of two losses has to be this share of the larger one: a
 # smaller one may be an error of the model. Chosen: above the tolerance for such errors, a fifth.
 cdef double SECOND_SHARE = 0.25
-# Share of score_floor^2 by which the mean J of two losses has to be below that of one: at most what healthy flight
-# leaves unexplained, as the floor is twice the score of health (MARGIN of monitor.fitting.calibrate).
+# Share of score_floor^2 by which the mean J of two losses has to be below that of one, unless the lasting J decides: at
+# most what healthy flight leaves unexplained, as the floor is twice the score of health (MARGIN of
+# monitor.fitting.calibrate).
 cdef double SECOND_APART = 0.25
 # A level is flat if it changes by less than this share of the step. A ramp through the window changes a level by flat /
 # (gap + mean), 1.7 steps. Chosen: far below that, with room for noise of an eighth of the step.
@@ -62,6 +62,18 @@ cdef double WASHOUT_RETURNED = 0.5
 cdef double LEVEL_CLIP = 36.0
 
 
+cdef inline double squared(const double[:, :] W, const double[:] r) noexcept:
+    """Return |W r|^2."""
+    cdef Py_ssize_t i, j
+    cdef double white, total = 0.0
+    for i in range(W.shape[0]):
+        white = 0.0
+        for j in range(W.shape[1]):
+            white += W[i, j] * r[j]
+        total += white * white
+    return total
+
+
 cdef class Choice:
     """The hypothesis of a bank that is believed, and the evidence it gives; see :mod:`monitor.estimation.bank`.
 
@@ -71,6 +83,8 @@ cdef class Choice:
     ----------
     whitening : ndarray
         W_k of each hypothesis' smoothed residual (K, p, p).
+    lasting : ndarray
+        The same of the mean of that residual over level_s (K, p, p).
     spans : ndarray
         Where the columns of each hypothesis begin (K + 1,).
     channel : ndarray
@@ -92,25 +106,26 @@ cdef class Choice:
     floor, share, penalty : float
         score_floor^2, tolerance^2 and gain_penalty of the rule.
     usual, follow : float
-        Mean of the smallest J in healthy flight (0: its level is not followed), and the weight of a row in the level.
+        Mean of the smallest J in healthy flight (0: its level is not followed), and the weight of a row in the level
+        and in the mean residuals.
     """
 
-    cdef double[:, :, ::1] whitening
+    cdef double[:, :, ::1] whitening, lasting
     cdef Py_ssize_t[::1] spans, channel, shown, compared, group
     cdef unsigned char[::1] scaling, is_compared, remembered, counted
     cdef unsigned char[:, ::1] own
     cdef list detectors, washouts
     cdef Py_ssize_t[::1] watched, watched_column, washed
     cdef double keep, floor, share, penalty, unexplained, usual, follow, level, keep_mean, least
-    cdef double[:, ::1] residual
+    cdef double[:, ::1] residual, mean_residual
     cdef double[::1] fault, J, mean_J, lasting_J, evidence
     cdef Py_ssize_t believed
     cdef bint coasted, open
 
-    def __init__(self, whitening, spans, channel, shown, scaling, groups, own, edges, washouts, keep, floor, share,
-                 penalty, usual=0.0, follow=0.0):
+    def __init__(self, whitening, lasting, spans, channel, shown, scaling, groups, own, edges, washouts, keep, floor,
+                 share, penalty, usual=0.0, follow=0.0):
         K, p, a = len(whitening), whitening.shape[1], len(shown)
-        self.whitening = np.ascontiguousarray(whitening)
+        self.whitening, self.lasting = np.ascontiguousarray(whitening), np.ascontiguousarray(lasting)
         self.spans, self.channel, self.shown = (np.asarray(indices, np.intp) for indices in (spans, channel, shown))
         self.scaling, self.own = np.asarray(scaling, np.uint8), np.ascontiguousarray(own, np.uint8)
         # Hypotheses in the order of preference, and the rank of the group of each.
@@ -123,7 +138,7 @@ cdef class Choice:
         self.washouts = [washout for _, washout in washouts]
         self.keep, self.floor, self.share, self.penalty = keep, floor, share, penalty
         self.usual, self.follow, self.level = usual, follow, 1.0
-        self.residual, self.fault = np.zeros((K, p)), np.zeros(len(channel))
+        self.residual, self.mean_residual, self.fault = np.zeros((K, p)), np.zeros((K, p)), np.zeros(len(channel))
         self.J, self.mean_J, self.lasting_J, self.evidence = np.zeros(K), np.zeros(K), np.zeros(K), np.zeros(a)
         self.keep_mean, self.least, self.open = keep ** (1.0 / RIVALS_MEAN), 0.0, False
         self.is_compared, self.counted = np.ones(a, np.uint8), np.ones(a, np.uint8)
@@ -189,6 +204,7 @@ cdef class Choice:
     cdef void clear(self) noexcept:
         cdef Py_ssize_t i
         self.residual[:] = 0.0
+        self.mean_residual[:] = 0.0
         self.fault[:] = 0.0
         self.mean_J[:] = 0.0
         self.lasting_J[:] = 0.0
@@ -201,22 +217,17 @@ cdef class Choice:
 
     cdef void update(self, const double[:, :] fault, const double[:, :, :] residual, Py_ssize_t row,
                      bint complete, double beyond, bint corrected) noexcept:
-        cdef Py_ssize_t k, i, j, K = self.J.shape[0], p = self.residual.shape[1]
-        cdef double keep = self.keep, white
+        cdef Py_ssize_t k, i, K = self.J.shape[0], p = self.residual.shape[1]
+        cdef double keep = self.keep, level = max(1.0, self.level)
         cdef bint explained
-        # Smoothed residuals r_k, J_k = |W_k r_k|^2 / lambda and smoothed faults.
+        # Smoothed residuals r_k, J_k = |W_k r_k|^2 / lambda, the same of their mean over level_s, and smoothed faults.
         for k in range(K):
             for i in range(0 if corrected else p):
                 self.residual[k, i] = keep * self.residual[k, i] + (1.0 - keep) * residual[row, k, i]
-            self.J[k] = 0.0
-            for i in range(p):
-                white = 0.0
-                for j in range(p):
-                    white += self.whitening[k, i, j] * self.residual[k, j]
-                self.J[k] += white * white
-            self.J[k] /= max(1.0, self.level)
+                self.mean_residual[k, i] += self.follow * (self.residual[k, i] - self.mean_residual[k, i])
+            self.J[k] = squared(self.whitening[k], self.residual[k]) / level
             self.mean_J[k] = self.keep_mean * self.mean_J[k] + (1.0 - self.keep_mean) * self.J[k]
-            self.lasting_J[k] += self.follow * (self.J[k] - self.lasting_J[k])
+            self.lasting_J[k] = squared(self.lasting[k], self.mean_residual[k]) / level
         for i in range(self.fault.shape[0]):
             self.fault[i] = keep * self.fault[i] + (1.0 - keep) * fault[row, i]
         self.choose()
@@ -233,7 +244,7 @@ cdef class Choice:
     cdef void choose(self) noexcept:
         """Choose the hypothesis to believe from J."""
         cdef Py_ssize_t i, k, following, more, group = -1, count = self.compared.shape[0]
-        cdef double worst = -INFINITY, limit, apart, lasting, noise
+        cdef double worst = -INFINITY, limit, apart, noise
         cdef bint clear, gains
         self.open, self.least = False, INFINITY
         for i in range(count):
@@ -268,20 +279,16 @@ cdef class Choice:
             # The lasting means are compared in units of the present noise, or of errors of the model where these are
             # larger.
             noise = min(1.0, max(self.level, self.share))
-            lasting = self.lasting_J[following] - self.lasting_J[more]
-            gains = apart > self.penalty or (
-                apart > 0.0
-                and lasting > noise * self.penalty
-                and self.lasting_J[more] < RIVALS_CLEAR * self.lasting_J[following]
-            )
+            gains = apart > self.penalty or apart > 0.0 and self.lasts(more, following, noise * self.penalty)
             # The mean is about to decide: then the choice is not left open.
             clear = self.J[following] - self.J[more] <= self.penalty and (
-                self.mean_J[more] < RIVALS_CLEAR * self.mean_J[following]
+                self.mean_J[more] < CLEAR * self.mean_J[following]
             )
             # In health every hypothesis explains the data, and the sign of an estimate is noise.
             self.open = not gains and (
                 apart > RIVALS_OPEN * self.penalty and worst > self.floor
                 or clear and apart > RIVALS_OPEN * noise * self.penalty
+                or self.lasts(more, following, RIVALS_OPEN * self.penalty)
             )
             following = more if gains else following
         elif more >= 0:
@@ -303,6 +310,13 @@ cdef class Choice:
         self.believed = following
         self.unexplained = sqrt(self.J[following])
 
+    cdef inline bint lasts(self, Py_ssize_t k, Py_ssize_t other, double apart) noexcept:
+        """Return whether the mean residuals over level_s are clearly nearer to hypothesis k than to another one."""
+        return (
+            self.lasting_J[other] - self.lasting_J[k] > apart
+            and self.lasting_J[k] < CLEAR * self.lasting_J[other]
+        )
+
     cdef inline Py_ssize_t faults(self, Py_ssize_t k) noexcept:
         return self.spans[k + 1] - self.spans[k]
 
@@ -323,7 +337,7 @@ cdef class Choice:
             one, other = -self.fault[first], -self.fault[first + 1]
             if (
                 min(one, other) > SECOND_SHARE / loyalty * max(one, other)
-                and self.mean_J[single] - self.mean_J[k] > apart / loyalty
+                and (self.mean_J[single] - self.mean_J[k] > apart / loyalty or self.lasts(k, single, self.penalty))
                 and self.J[k] < self.J[best]
             ):
                 best = k

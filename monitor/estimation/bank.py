@@ -10,15 +10,19 @@ hypothesis explains the data as long as J_k <= max(score_floor^2, tolerance^2 ma
 or the level of model error for a fault of that size. Of the hypotheses that explain the data, those with the fewest
 faults are preferred, and among them the smallest J.
 
+The level of healthy flight is that of its liveliest moment, which many faults stay below. What a fault leaves under a
+wrong hypothesis lasts, though, and a manoeuvre's errors do not: the lasting J is that of the mean residual over
+level_s, by the healthy covariance of that mean.
+
 Actuators fail towards less. A hypothesis under which one would have to deliver more than commanded competes with that
 of an actuator of opposite effect that delivers less: it is believed if its mean J is smaller by gain_penalty, or if its
-mean J over level_s is smaller by gain_penalty times lambda (which may be below 1 here) and is at most a quarter of the
-other's; while the mean is smaller by a share of this, neither is held responsible. Hypotheses of several actuators that
-would have to deliver more are never believed: others that deliver less have the same effect. Two actuators that deliver
-less are believed, although one of them alone explains the data up to the level of health or of model error, if the mean
-J of the two is smaller by far and neither loss is small beside the other. The hypothesis believed so far stays until
-another is clearly better (half its J), so noise does not make names flicker. If none explains the data no fault is
-named, and the score sqrt(min J) is reported as unexplained.
+lasting J is smaller by gain_penalty times lambda (which may be below 1 here) and at most a quarter of the other's;
+while either is smaller by a share of this, neither is held responsible. Hypotheses of several actuators that would have
+to deliver more are never believed: others that deliver less have the same effect. Two actuators that deliver less are
+believed, although one of them alone explains the data up to the level of health or of model error, if the mean J of the
+two is smaller by far, or the lasting J by gain_penalty and at most a quarter, and neither loss is small beside the
+other. The hypothesis believed so far stays until another is clearly better (half its J), so noise does not make names
+flicker. If none explains the data no fault is named, and the score sqrt(min J) is reported as unexplained.
 
 Flights may have more wind than those that were fitted, and be livelier. The residual of the hypothesis believed shows
 it, as it does not contain the hypothesis' own fault: with lambda the mean of the smallest J over ``level_s`` relative
@@ -142,9 +146,10 @@ class Bank:
         compared = ~np.array(rule.edges)
         spans = np.concatenate([[0], np.cumsum(sizes)])
         members = np.array([[name in hypothesis.faults for name in faults] for hypothesis in hypotheses])
-        p = len(rule.covariances[0])
+        p, fewest = len(rule.covariances[0]), smallest(rule.hypotheses)
         self._choice = Choice(
-            whitening=whitening(rule.covariances, smallest(rule.hypotheses)),
+            whitening=whitening(rule.covariances, fewest),
+            lasting=whitening(rule.lasting or rule.covariances, fewest),
             spans=spans,
             channel=[faults.index(name) for hypothesis in hypotheses for name in hypothesis.faults],
             shown=[

@@ -46,6 +46,9 @@ class BankRule:
     edges: tuple[bool, ...]
     # time constant, seconds, with which the estimate of a fault is washed out before it is restored
     washouts: Mapping[str, float] = field(default_factory=dict)
+    # healthy covariance of the mean of each of these residuals over level_s (p, p); empty: that of the residual, which
+    # no mean of a stationary one exceeds
+    lasting: tuple[NDArray[np.float64], ...] = ()
     jump_s: float = 0.03  # time within which an estimate makes an edge, seconds
     """Chosen: three samples at 100 Hz, as long as the mean of an edge's levels needs to follow."""
     # root of the mean J of the hypothesis believed in healthy flight, 0 if the level of J is not followed, and the time
@@ -97,7 +100,8 @@ def read_isolation(table: Table, outputs: int) -> IsolationRule:
             score_floor=table.number("score_floor", at_least=0.0),
             gain_penalty=table.number("gain_penalty", 25.0, at_least=0.0),
             hypotheses=hypotheses,
-            covariances=tuple(_covariance(entry, outputs) for entry in entries),
+            covariances=tuple(_covariance(entry, outputs, "covariance") for entry in entries),
+            lasting=tuple(_covariance(entry, outputs, "lasting") for entry in entries if entry.has("lasting")),
             edges=tuple(entry.boolean("edge", False) for entry in entries),
             jump_s=table.number("jump_s", 0.03, above=0.0),
             washouts=_washouts(table.table("washout_s"), {name for faults in hypotheses for name in faults}),
@@ -108,6 +112,8 @@ def read_isolation(table: Table, outputs: int) -> IsolationRule:
         for entry, hypothesis, edge in zip(entries, hypotheses, rule.edges, strict=True):
             if edge and compared.issuperset(hypothesis):
                 entry.mistake("edge", "needs a hypothesis with a fault that no compared one has")
+        if rule.lasting and len(rule.lasting) < len(hypotheses):
+            table.mistake("hypotheses", "have 'lasting' in some entries only")
         if all(rule.edges):
             table.mistake("hypotheses", "has none but edges; a bank needs one to compare")
         for entry in entries:
@@ -121,9 +127,10 @@ def isolation_table(rule: IsolationRule) -> dict[str, Any]:
     """Return the table that :func:`read_isolation` reads back as the same rule."""
     if isinstance(rule, IndependentRule):
         return {"method": "independent", "smoothing_s": rule.smoothing_s}
+    lasting = [{"lasting": matrix.tolist()} for matrix in rule.lasting] or [{}] * len(rule.hypotheses)
     hypotheses = [
-        {"faults": list(faults), **({"edge": True} if edge else {}), "covariance": covariance.tolist()}
-        for faults, covariance, edge in zip(rule.hypotheses, rule.covariances, rule.edges, strict=True)
+        {"faults": list(faults), **({"edge": True} if edge else {}), "covariance": covariance.tolist(), **mean}
+        for faults, covariance, edge, mean in zip(rule.hypotheses, rule.covariances, rule.edges, lasting, strict=True)
     ]
     return {
         "method": "bank",
@@ -157,14 +164,14 @@ def _washouts(table: Table, faults: Collection[str]) -> dict[str, float]:
     return {name: table.number(name, at_least=0.1) for name in table}
 
 
-def _covariance(table: Table, size: int) -> NDArray[np.float64]:
-    covariance = table.matrix("covariance", size, size)
-    if not table.good("covariance"):
+def _covariance(table: Table, size: int, key: str) -> NDArray[np.float64]:
+    covariance = table.matrix(key, size, size)
+    if not table.good(key):
         return covariance
     scale = np.sqrt(np.abs(np.diag(covariance)))
     correlation = covariance / np.outer(scale, scale).clip(1e-300)
     if not np.allclose(correlation, correlation.T) or not covariance.any():
-        table.mistake("covariance", "is not symmetric, or zero")
+        table.mistake(key, "is not symmetric, or zero")
     elif np.linalg.eigvalsh(correlation).min() < -1e-9:
-        table.mistake("covariance", "is not positive semidefinite")
+        table.mistake(key, "is not positive semidefinite")
     return covariance

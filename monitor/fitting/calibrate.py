@@ -15,7 +15,7 @@ from monitor.core.lagged import exponential_mean
 from monitor.core.sampling import VehicleClock
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import smallest, whitening
-from monitor.estimation.isolation_rule import LEVEL_S, BankRule
+from monitor.estimation.isolation_rule import LEVEL_S, BankRule, keep_share
 from monitor.fitting.flights import Flight
 from monitor.profile import ObserverProfile, Profile
 from monitor.sampling.gate import GateRule
@@ -76,17 +76,21 @@ def bank_rule(
     unexplained in healthy flight, with a margin. A hypothesis that contains another does not count in it: it
     explains whatever that one does, and is believed only where that one does not.
     """
-    observer, settled = AffineObserver(bank), round(settle_s * bank[0].rate_hz)
-    keep = float(np.exp(-1.0 / (smoothing_s * bank[0].rate_hz)))
-    smoothed = []
+    rate_hz = bank[0].rate_hz
+    observer, settled = AffineObserver(bank), round(settle_s * rate_hz)
+    keep, keep_mean = keep_share(smoothing_s, rate_hz), keep_share(level_s, rate_hz)
+    smoothed, means = [], []
     for segment in segments:
         raw = observer.run(segment.u, segment.y, restart=np.arange(len(segment.u)) == 0).residual
         mean = exponential_mean(raw.reshape(len(raw), -1), keep).reshape(raw.shape)
         smoothed.append(mean[settled:])
+        lasting = exponential_mean(mean.reshape(len(raw), -1), keep_mean).reshape(raw.shape)
+        means.append(lasting[settled + round(level_s * rate_hz) :])
     residuals = list(np.moveaxis(np.concatenate(smoothed), 1, 0))
     watched = tuple(any(name in edges for name in member.faults) for member in bank)
     least = 0.0 if noise is None else np.diag((_NOISE_SHARE * noise) ** 2)
     covariances = tuple(residual.T @ residual / len(residual) + least for residual in residuals)
+    lasting = _of_means(np.concatenate(means), covariances, 0.5 / (level_s * rate_hz))
     fewest = smallest([member.faults for member in bank])
     scores = np.array(
         [
@@ -103,9 +107,25 @@ def bank_rule(
         gain_penalty=_GAIN_PENALTY,
         hypotheses=tuple(member.faults for member in bank),
         covariances=covariances,
+        lasting=lasting,
         edges=watched,
         washouts=washouts or {},
         jump_s=jump_s,
+    )
+
+
+def _of_means(
+    means: NDArray[np.float64], covariances: Sequence[NDArray[np.float64]], share: float
+) -> tuple[NDArray[np.float64], ...]:
+    """Return the covariances of means of residuals (N, K, p), of which a row tells as much as a share of its own mean.
+
+    Minutes of flight hold few such means. The prior (inverse Wishart, of p + 1 of them) is that of the residuals, which
+    no mean exceeds.
+    """
+    told, prior = share * len(means), means.shape[2] + 1.0
+    return tuple(
+        (share * mean.T @ mean + prior * covariance) / (told + prior)
+        for mean, covariance in zip(np.moveaxis(means, 1, 0), covariances, strict=True)
     )
 
 
