@@ -206,6 +206,7 @@ class ChainRun:
     def event(self, row: int, alarm: int, code: int) -> AlarmEvent:
         """Return the event that a row caused in an alarm."""
         command = relative = sd = None
+        rival = -1 if code == CLEARED else self.alarms[alarm].state.rival
         if alarm < len(self.faults):
             fault = self.faults[alarm]
             # The estimate that clears an alarm has no fault to tell of.
@@ -223,6 +224,7 @@ class ChainRun:
             None if command is None else float(command[row]),
             None if relative is None or np.isnan(relative[row]) else float(relative[row]),
             None if sd is None else float(sd[row]),
+            self.alarms[self.faults.index(rival)].rule.channel if rival in self.faults else None,
         )
 
 
@@ -512,6 +514,7 @@ class ObserverChain:
             **({} if changes is None else self._named(changes)),
             sd=size_sd[:, self._faults],
             command=self._command_of_alarms(commands, len(samples)),
+            rival=found.rival[:, self._faults],
         )
         return ChainRun(
             estimates,

@@ -53,6 +53,7 @@ class AlarmEvent:
     false_per_100h: Annotated[float | None, "expected false alarms of the channel in 100 hours, by its fit"] = None
     part: Annotated[str | None, "channel that locates the cause between command and thrust: escN, propN"] = None
     sd: Annotated[float | None, "standard deviation of estimate, in unit; null where it is not known"] = None
+    instead: Annotated[str | None, "channel that may be responsible in place of this one: not told apart yet"] = None
 
     def __post_init__(self) -> None:
         """Derive the displayed size, so that it always follows from the other fields."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adapters.sample import Samples
 from monitor.alarms.alarm import Alarm, AlarmRule, retuned
-from monitor.core.alarms import ChainRows, Weighing, walk
+from monitor.core.alarms import CLEARED, ChainRows, Weighing, walk
 from monitor.event import AlarmEvent, event_from_json
 
 STEP_NS = 10_000_000
@@ -45,6 +45,7 @@ def process(
     relative: float | None = None,
     sd: NDArray[np.float64] | None = None,
     commands: NDArray[np.float64] | None = None,
+    rival: NDArray[np.intp] | None = None,
 ) -> list[AlarmEvent]:
     """Return the events of one batch of evidence; the command is 0.5 unless the share or ``commands`` are given."""
     count = len(evidence)
@@ -65,12 +66,15 @@ def process(
         speaking[:, None],
         sd=column[0],
         command=column[1],
+        rival=None if rival is None else rival[:, None],
     )
     events: list[AlarmEvent] = []
 
     def on_event(_observer: int, row: int, _alarm: int, code: int) -> None:
         command = 0.5 if commands is None else float(commands[row])
-        events.append(alarm.event(code, samples, row, command if relative is None else None, relative))
+        instead = f"motor{alarm.state.rival}" if alarm.state.rival >= 0 and code != CLEARED else None
+        command_of = command if relative is None else None
+        events.append(alarm.event(code, samples, row, command_of, relative, instead=instead))
 
     walk([rows], on_event)
     return events
@@ -146,6 +150,14 @@ def test_a_size_that_moves_less_than_twice_its_standard_deviation_is_no_update()
     assert [event.state for event in process(new_alarm(), evidence, times, sd=sd)] == ["raised"]
     sd[:] = 0.001
     assert [event.state for event in process(new_alarm(), evidence, times, sd=sd)] == ["raised", "updated"]
+
+
+def test_an_alarm_says_which_channel_it_may_be_instead_until_the_two_are_told_apart() -> None:
+    evidence, rival = np.full(400, 0.05), np.repeat([4, 5, -1, -1], 100)
+    events = process(new_alarm(), evidence, np.arange(400) * STEP_NS, rival=rival)
+    assert [event.instead for event in events[:3]] == ["motor4", "motor5", None]
+    assert "it may be motor4 instead" in events[0].message
+    assert "instead" not in events[2].message
 
 
 def test_updates_come_at_most_once_a_second() -> None:

@@ -268,6 +268,15 @@ def test_two_losses_that_are_small_beside_manoeuvres_are_named_by_what_lasts() -
     assert Choices(lasting=4.0).run([[4.0, 0.3, 0.2]] * 300).x[-1, 0] == 1.0
 
 
+def test_a_channel_has_a_rival_until_what_was_measured_tells_the_two_apart() -> None:
+    rival = Choices().run([[2.0, 1.0, 1.0]] * 50 + [[30.0, 1.0, 1.0]] * 50).rival
+    assert rival[40].tolist() == [-1, 0]
+    assert rival[-1].tolist() == [-1, -1]
+    assert Choices().run([[20.0, 1.0, 0.5]] * 50).rival[-1].tolist() == [-1, -1]
+    # what lasts tells, too
+    assert Choices(lasting=4.0).run([[4.0, 1.0, 0.5]] * 300).rival[-1].tolist() == [-1, -1]
+
+
 def test_means_of_white_residuals_have_a_smaller_covariance_that_seconds_of_flight_do_not_tell() -> None:
     quad = Motors(5.0, 3)
     short = bank_rule(quad.gains, [Segment(*quad.flown([], 20))], smoothing_s=1.0)

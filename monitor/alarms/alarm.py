@@ -263,12 +263,13 @@ class Alarm:
         command: float | None = None,
         relative: float | None = None,
         sd: float | None = None,
+        instead: str | None = None,
     ) -> AlarmEvent:
         """Return the event of the latest row.
 
         ``code`` (RAISED, UPDATED or CLEARED) is what the rule returned for the row. ``command`` is the command of which
         the fault takes a share, if that makes sense; ``relative`` is that share if it is known in another way; ``sd``
-        is the standard deviation of the size.
+        is the standard deviation of the size; ``instead`` the channel that may be responsible in place of this one.
         """
         rule, now = self.rule, self.state
         vehicle_ns, time_ns = int(samples.vehicle_time_ns[row]), int(samples.time_ns[row])
@@ -285,11 +286,13 @@ class Alarm:
         message = alarm_message(rule.observer, rule.channel, rule.kind, rule.unit, state, now.shown, relative)
         if rule.unit == RESISTANCE and code != CLEARED:
             message += f": {battery_text(*samples.u[row, 1:])}"
+        if instead is not None:
+            message += f"; it may be {instead} instead, the two are not told apart yet"
         if now.recurring and code != CLEARED:
             message = f"{message} (it comes and goes)"
         if code != CLEARED:
             message = with_affected(message, self._affected)
-        return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative, sd)
+        return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative, sd, instead)
 
     def affect(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
         """List another channel as affected by this alarm's cause; return the event, or None if it is listed already."""
@@ -315,7 +318,14 @@ class Alarm:
         return self.close(time_ns, vehicle_ns, why)
 
     def _event(
-        self, state: State, time_ns: int, vehicle_ns: int, message: str, relative: float | None, sd: float | None
+        self,
+        state: State,
+        time_ns: int,
+        vehicle_ns: int,
+        message: str,
+        relative: float | None,
+        sd: float | None,
+        instead: str | None = None,
     ) -> AlarmEvent:
         rule, now = self.rule, self.state
         self._last = AlarmEvent(
@@ -340,5 +350,6 @@ class Alarm:
             recurring=now.recurring,
             false_per_100h=rule.false_per_100h,
             sd=sd,
+            instead=instead,
         )
         return self._last

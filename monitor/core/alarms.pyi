@@ -30,6 +30,7 @@ class AlarmState:
     peak: float
     size: float
     reported: float
+    rival: int
     def __init__(self) -> None: ...
     def set_rule(self, rule: AlarmRule) -> None: ...
     def set_excuse(self, now: bool, spans: NDArray[np.int64]) -> None: ...
@@ -64,6 +65,7 @@ class ChainRows:
         change_sd: NDArray[np.float64] | None = None,
         sd: NDArray[np.float64] | None = None,
         command: NDArray[np.float64] | None = None,
+        rival: NDArray[np.intp] | None = None,
     ) -> None: ...
 
 def nats_asked(

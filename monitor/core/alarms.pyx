@@ -112,12 +112,15 @@ cdef class AlarmState:
     shown, peak, reported, size : float
         Evidence that the event of the latest row shows, the largest since the alarm was raised, that of the event
         before, and the size that raised it.
+    rival : int
+        The fault that may be responsible in place of this alarm's, as its latest event says; -1 for none.
     """
 
     cdef double threshold, clear, critical_size, raise_ns, clear_ns, fast, fast_ns, slow, slow_ns, latch_ns, ahead_s
     cdef double nats, least, lasting, lasting_ns
     cdef readonly bint active, critical, creeping, recurring, sudden
     cdef readonly double shown, peak, size, reported
+    cdef readonly Py_ssize_t rival
     cdef double reported_sd, reported_command
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
     cdef bint contiguous, fails_towards_less, explained
@@ -140,6 +143,7 @@ cdef class AlarmState:
         self.raised_count = 0
         self.last_ns = self.ended_ns = LONG_AGO
         self.reported_sd = self.reported_command = NAN
+        self.rival = -1
         self.forget()
         self.excused_spans = None
 
@@ -198,15 +202,17 @@ cdef class AlarmState:
         return False
 
     cdef int step(self, int64_t now, bint restart, double evidence, bint speaking, double scale, double sd,
-                  double command, const Change* change) noexcept:
+                  double command, Py_ssize_t rival, const Change* change) noexcept:
         """Process one row; return the event it causes."""
-        cdef int event = self.event_of(now, restart, evidence, speaking, scale, sd, command, change)
+        cdef int event = self.event_of(now, restart, evidence, speaking, scale, sd, command, rival, change)
         if event == C_RAISED or event == C_UPDATED:
             self.reported_command = command
+            # The test for sudden changes names no channel that another one may be in place of.
+            self.rival = -1 if event == C_RAISED and self.sudden else rival
         return event
 
     cdef int event_of(self, int64_t now, bint restart, double evidence, bint speaking, double scale, double sd,
-                      double command, const Change* change) noexcept:
+                      double command, Py_ssize_t rival, const Change* change) noexcept:
         cdef int64_t elapsed
         cdef int event
         if not self.active and self.is_certain(change, evidence) and not self.excused(now):
@@ -229,7 +235,7 @@ cdef class AlarmState:
         self.last_ns, self.contiguous = now, True
         self.average(restart, evidence / scale, scale, elapsed)
         if self.active:
-            return self.follow(now, evidence, scale, sd, command, elapsed)
+            return self.follow(now, evidence, scale, sd, command, rival, elapsed)
         event = self.debounce(now, evidence, scale, elapsed)
         if event == C_RAISED:
             self.reported_sd = sd
@@ -315,7 +321,7 @@ cdef class AlarmState:
         self.size, self.shown, self.peak, self.reported, self.reported_ns = size, evidence, evidence, evidence, now
         return C_RAISED
 
-    cdef int follow(self, int64_t now, double evidence, double scale, double sd, double command,
+    cdef int follow(self, int64_t now, double evidence, double scale, double sd, double command, Py_ssize_t rival,
                     int64_t elapsed) noexcept:
         """Update or clear an active alarm."""
         cdef double shown, ahead, moves, expected
@@ -356,7 +362,7 @@ cdef class AlarmState:
         # Any standard deviation is better than an unknown one.
         sharper = UPDATE_SHARPER * sd <= self.reported_sd or (isnan(self.reported_sd) and not isnan(sd))
         due = not 0 <= now - self.reported_ns < UPDATE_EVERY_NS
-        if worsens or ((moved or sharper) and due):
+        if worsens or ((moved or sharper or rival != self.rival) and due):
             if sharper and self.peak == self.reported:
                 # The peak was the rough size of before.
                 self.peak = shown
@@ -402,6 +408,8 @@ cdef class ChainRows:
         Standard deviation of the evidence of the first m alarms, not a number where it is not known.
     command : float64 (n, m), optional
         The command of which the size of each of the first m alarms is a share, not a number where it is none.
+    rival : intp (n, m), optional
+        The fault that may be responsible in place of that of each of the first m alarms, -1 for none.
     """
 
     cdef tuple alarms
@@ -413,15 +421,16 @@ cdef class ChainRows:
     cdef const double[:, :] scale, sd, command
     cdef const double[:] nats, size, growth, change_sd
     cdef const int64_t[:] onset_ns
+    cdef const Py_ssize_t[:, :] rival
 
     def __init__(self, alarms, position, times_ns, restart, evidence, speaking, scale=None, changed=None, nats=None,
-                 size=None, growth=None, onset_ns=None, change_sd=None, sd=None, command=None):
+                 size=None, growth=None, onset_ns=None, change_sd=None, sd=None, command=None, rival=None):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
         self.restart, self.evidence, self.speaking = restart, evidence, speaking
         self.scale, self.sd, self.command = scale, sd, command
         self.changed, self.nats, self.size, self.growth, self.onset_ns = changed, nats, size, growth, onset_ns
-        self.change_sd = change_sd
+        self.change_sd, self.rival = change_sd, rival
 
     cdef void supersede(self, Py_ssize_t alarm) noexcept:
         """Clear the sooner the alarms of sudden changes of other channels that no estimate shows: this one is the
@@ -617,7 +626,8 @@ def walk(chains, on_event):
                 chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i],
                 chain.scale[row, i] if chain.scale is not None and i < chain.scale.shape[1] else 1.0,
                 chain.sd[row, i] if chain.sd is not None and i < chain.sd.shape[1] else NAN,
-                chain.command[row, i] if chain.command is not None and i < chain.command.shape[1] else NAN, &change)
+                chain.command[row, i] if chain.command is not None and i < chain.command.shape[1] else NAN,
+                chain.rival[row, i] if chain.rival is not None and i < chain.rival.shape[1] else -1, &change)
             if event == C_RAISED:
                 chain.supersede(i)
             if event:

@@ -37,7 +37,7 @@ class Choice:
         armed: Flags,
         beyond: Array | None,
         corrected: Flags | None = None,
-    ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], Array, Array, Array]: ...
+    ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], Array, Array, Array, NDArray[np.intp]]: ...
 
 class EdgeDetector:
     edge: float

@@ -25,11 +25,17 @@ cdef double RIVALS_OPEN = 0.2
 # Share of the J of one hypothesis below which another one is clearly nearer: half of its residual. Chosen: errors of
 # the model leave a fifth of a fault (tolerance) on the right hypothesis, two of them less than a half.
 cdef double CLEAR = 0.25
+# Share of the mean of a fault over level_s below which what lasted has ended: halfway.
+cdef double GONE = 0.5
 # Largest mean J of an actuator that delivers more, as a multiple of the limit below which a J explains the data.
 # Measured on losses put into a flight at 100 Hz: without this limit a third motor was named at the end of one of two
 # losses in 4 of 36 runs; with a factor of 1 a motor that delivers 10 % more is named 0.07 s later; with 4 neither
 # happens.
 cdef double AFTER_SEVERAL = 4.0
+# J by which a hypothesis has to be ahead of another one that explains the data, in its mean over a moment or in what
+# lasts, for the two to be told apart: 7 nats, odds of a thousand, as of sudden changes. Two that were told apart stay
+# so down to half of it, so noise does not make that flicker.
+cdef double TOLD = 14.0
 # Where one actuator alone explains the data too, the smaller of two losses has to be this share of the larger one: a
 # smaller one may be an error of the model. Chosen: above the tolerance for such errors, a fifth.
 cdef double SECOND_SHARE = 0.25
@@ -111,14 +117,15 @@ cdef class Choice:
     """
 
     cdef double[:, :, ::1] whitening, lasting
-    cdef Py_ssize_t[::1] spans, channel, shown, compared, group
+    cdef Py_ssize_t[::1] spans, channel, shown, compared, group, rival
+    cdef Py_ssize_t[:, ::1] exchanged
     cdef unsigned char[::1] scaling, is_compared, remembered, counted
     cdef unsigned char[:, ::1] own
     cdef list detectors, washouts
     cdef Py_ssize_t[::1] watched, watched_column, washed
-    cdef double keep, floor, share, penalty, unexplained, usual, follow, level, keep_mean, least
+    cdef double keep, floor, share, penalty, limit, unexplained, usual, follow, level, keep_mean, least
     cdef double[:, ::1] residual, mean_residual
-    cdef double[::1] fault, J, mean_J, lasting_J, evidence
+    cdef double[::1] fault, mean_fault, J, mean_J, lasting_J, evidence
     cdef Py_ssize_t believed
     cdef bint coasted, open
 
@@ -139,18 +146,25 @@ cdef class Choice:
         self.keep, self.floor, self.share, self.penalty = keep, floor, share, penalty
         self.usual, self.follow, self.level = usual, follow, 1.0
         self.residual, self.mean_residual, self.fault = np.zeros((K, p)), np.zeros((K, p)), np.zeros(len(channel))
+        self.mean_fault = np.zeros(len(channel))
         self.J, self.mean_J, self.lasting_J, self.evidence = np.zeros(K), np.zeros(K), np.zeros(K), np.zeros(a)
         self.keep_mean, self.least, self.open = keep ** (1.0 / RIVALS_MEAN), 0.0, False
         self.is_compared, self.counted = np.ones(a, np.uint8), np.ones(a, np.uint8)
         for column in self.watched_column:
             self.is_compared[self.channel[column]] = False
         self.remembered = np.zeros(len(self.washouts), np.uint8)
+        self.rival, self.limit = np.full(a, -1, np.intp), floor
+        # The channel that one hypothesis has and another does not, where they differ in one each.
+        members = [{self.channel[i] for i in range(self.spans[k], self.spans[k + 1])} for k in range(K)]
+        apart = [[list(one - other) if len(one - other) == len(other - one) == 1 else [-1] for other in members]
+                 for one in members]
+        self.exchanged = np.array(apart, np.intp)[:, :, 0]
         self.believed, self.unexplained, self.coasted = self.compared[0], 0.0, False
 
     def run(self, const double[:, :, :] x, const double[:, :] fault, const double[:, :, :] residual,
             const unsigned char[:] measured, const unsigned char[:] complete, const unsigned char[:] restart,
             const unsigned char[:] armed, const double[:] beyond, const unsigned char[:] corrected=None):
-        """Return believed x, fault, believed residual, evidence, counted, smoothed, unexplained and level of n rows.
+        """Return x, fault, believed residual, evidence, counted, smoothed, unexplained, level, rival of n rows.
 
         x (n, K, states), fault (n, F) and residual (n, K, p) are the estimates of the observers. A row that is neither
         measured nor a restart does not change the choice. The level is followed over rows that are evidence
@@ -171,7 +185,9 @@ cdef class Choice:
         results = (
             np.empty((count, states)), np.empty((count, a)), np.empty((count, p)), np.empty((count, a)),
             np.empty((count, a), np.bool_), np.empty((count, a)), np.empty(count), np.empty(count),
+            np.empty((count, a), np.intp),
         )
+        cdef Py_ssize_t[:, ::1] rival = results[8]
         cdef double[:, ::1] shown_x = results[0], shown_fault = results[1], shown_residual = results[2]
         cdef double[:, ::1] evidence = results[3], smoothed = results[5]
         cdef unsigned char[:, ::1] counted = results[4]
@@ -198,6 +214,7 @@ cdef class Choice:
                 smoothed[k, i] = self.fault[self.shown[i]]
                 evidence[k, i] = self.evidence[i]
                 counted[k, i] = self.counted[i]
+                rival[k, i] = self.rival[i]
             unexplained[k] = self.unexplained
         return results
 
@@ -206,9 +223,11 @@ cdef class Choice:
         self.residual[:] = 0.0
         self.mean_residual[:] = 0.0
         self.fault[:] = 0.0
+        self.mean_fault[:] = 0.0
         self.mean_J[:] = 0.0
         self.lasting_J[:] = 0.0
         self.remembered[:] = 0
+        self.rival[:] = -1
         self.open = False
         for i in range(self.watched.shape[0]):
             (<EdgeDetector> self.detectors[i]).clear()
@@ -230,6 +249,7 @@ cdef class Choice:
             self.lasting_J[k] = squared(self.lasting[k], self.mean_residual[k]) / level
         for i in range(self.fault.shape[0]):
             self.fault[i] = keep * self.fault[i] + (1.0 - keep) * fault[row, i]
+            self.mean_fault[i] += self.follow * (self.fault[i] - self.mean_fault[i])
         self.choose()
         explained = self.unexplained == 0.0
         for i in range(self.evidence.shape[0]):
@@ -238,6 +258,7 @@ cdef class Choice:
         if explained:
             for i in range(self.spans[self.believed], self.spans[self.believed + 1]):
                 self.evidence[self.channel[i]] = self.fault[i]
+        self.find_rivals(explained)
         self.give_back(explained, beyond)
         self.watch_edges(fault, row, complete)
 
@@ -255,7 +276,7 @@ cdef class Choice:
                 if isnan(worst):
                     break
         # J_k explains the data up to max(score_floor^2, tolerance^2 max_i J_i).
-        limit = self.share * worst if self.share * worst > self.floor else self.floor
+        self.limit = limit = self.share * worst if self.share * worst > self.floor else self.floor
         if self.J[self.believed] <= limit and self.is_remembered(self.believed):
             self.unexplained = 0.0
             return
@@ -310,12 +331,34 @@ cdef class Choice:
         self.believed = following
         self.unexplained = sqrt(self.J[following])
 
-    cdef inline bint lasts(self, Py_ssize_t k, Py_ssize_t other, double apart) noexcept:
-        """Return whether the mean residuals over level_s are clearly nearer to hypothesis k than to another one."""
+    cdef bint lasts(self, Py_ssize_t k, Py_ssize_t other, double apart) noexcept:
+        """Return whether what lasts, faults that are still there, is clearly nearer to hypothesis k than to another."""
+        cdef Py_ssize_t i
+        for i in range(self.spans[k], self.spans[k + 1]):
+            if self.scaling[i] and self.fault[i] * self.mean_fault[i] < GONE * self.mean_fault[i] * self.mean_fault[i]:
+                return False
         return (
             self.lasting_J[other] - self.lasting_J[k] > apart
             and self.lasting_J[k] < CLEAR * self.lasting_J[other]
         )
+
+    cdef void find_rivals(self, bint explained) noexcept:
+        """Find for each channel held responsible the one that may be in its place, -1 where the two are told apart."""
+        cdef Py_ssize_t i, k, out, best
+        cdef double noise = min(1.0, max(self.level, self.share)), told, apart, nearest
+        for out in range(self.rival.shape[0]):
+            told, nearest, best = TOLD if self.rival[out] >= 0 else 0.5 * TOLD, INFINITY, -1
+            for i in range(self.compared.shape[0] if explained else 0):
+                k = self.compared[i]
+                if self.exchanged[self.believed, k] != out or self.J[k] > self.limit:
+                    continue
+                if self.faults(k) > 1 and self.delivers_more(k):
+                    continue
+                apart = max(self.mean_J[k] - self.mean_J[self.believed],
+                            self.lasting_J[k] - self.lasting_J[self.believed])
+                if apart < told * noise and apart < nearest:
+                    nearest, best = apart, self.exchanged[k, self.believed]
+            self.rival[out] = best
 
     cdef inline Py_ssize_t faults(self, Py_ssize_t k) noexcept:
         return self.spans[k + 1] - self.spans[k]

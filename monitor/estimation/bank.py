@@ -24,6 +24,9 @@ two is smaller by far, or the lasting J by gain_penalty and at most a quarter, a
 other. The hypothesis believed so far stays until another is clearly better (half its J), so noise does not make names
 flicker. If none explains the data no fault is named, and the score sqrt(min J) is reported as unexplained.
 
+A hypothesis that differs from the one believed in one channel, explains the data too and is not 14 behind in its mean J
+or its lasting J (odds of a thousand) makes that channel the other's rival: events say that the two are not told apart.
+
 Flights may have more wind than those that were fitted, and be livelier. The residual of the hypothesis believed shows
 it, as it does not contain the hypothesis' own fault: with lambda the mean of the smallest J over ``level_s`` relative
 to that of healthy flight, every J is divided by max(1, lambda), and sizes that raise alarms grow with its root
@@ -74,6 +77,8 @@ class EstimatorRun(NamedTuple):
     unexplained: NDArray[np.float64]  # score sqrt(min J) if no hypothesis explains the data, otherwise zero (N,)
     # the residuals' mean square relative to that of healthy flight (N,), 1 or more
     level: NDArray[np.float64]
+    # channel that may be responsible in place of each (N, a), -1 where what was measured tells the two apart
+    rival: NDArray[np.intp]
 
 
 def washout_inverse(tau: float, rate_hz: float, threshold: float) -> Washout:

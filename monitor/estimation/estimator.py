@@ -42,6 +42,7 @@ class JointEstimator:
             smoothed=evidence,
             unexplained=np.zeros(len(evidence)),
             level=np.ones(len(evidence)),
+            rival=np.full(evidence.shape, -1, np.intp),
         )
 
 

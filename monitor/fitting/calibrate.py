@@ -84,8 +84,8 @@ def bank_rule(
         raw = observer.run(segment.u, segment.y, restart=np.arange(len(segment.u)) == 0).residual
         mean = exponential_mean(raw.reshape(len(raw), -1), keep).reshape(raw.shape)
         smoothed.append(mean[settled:])
-        lasting = exponential_mean(mean.reshape(len(raw), -1), keep_mean).reshape(raw.shape)
-        means.append(lasting[settled + round(level_s * rate_hz) :])
+        slow = exponential_mean(mean.reshape(len(raw), -1), keep_mean).reshape(raw.shape)
+        means.append(slow[settled + round(level_s * rate_hz) :])
     residuals = list(np.moveaxis(np.concatenate(smoothed), 1, 0))
     watched = tuple(any(name in edges for name in member.faults) for member in bank)
     least = 0.0 if noise is None else np.diag((_NOISE_SHARE * noise) ** 2)
