@@ -40,7 +40,7 @@ class LogReview:
     log: Path
     facts: LogFacts
     findings: tuple[ReviewFinding, ...]
-    watched: tuple[str, ...]  # findings that were looked for and not there
+    watched: tuple[str, ...]  # findings that were looked for and not found
     unjudged: Mapping[str, str]  # findings that could not be judged, and why
     damage: tuple[Damage, ...] = ()
 

@@ -97,5 +97,5 @@ def review_lines(review: LogReview) -> Iterator[str]:
         if len(entries) > _MOST_STATED:
             yield f"    ... and {len(entries) - _MOST_STATED} more"
     if review.watched:
-        yield f"  looked for and not there: {', '.join(review.watched)}"
+        yield f"  looked for, not found: {', '.join(review.watched)}"
     yield from (f"  not judged: {titles}: {why}" for titles, why in review.reasons())

@@ -37,7 +37,7 @@ def review_page(review: LogReview) -> str:
         ),
         section("Findings", *_findings(review, charts)),
         section("Time line", table(("s", "kind", "what"), _entries(review), numbers=[0])),
-        section("What was looked for and not there", element("p", ", ".join(review.watched) or "Nothing.")),
+        section("Looked for, not found", element("p", ", ".join(review.watched) or "Nothing.")),
         section("What could not be judged, and why", table(("findings", "why"), review.reasons())),
         section("What could not be read", table(("file", "what"), _damage(review))) if review.damage else "",
         section("The flight", _signals(review, charts, _OVERVIEW, 0.0, said.duration_s)),
@@ -47,7 +47,7 @@ def review_page(review: LogReview) -> str:
 
 def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
     if not review.findings:
-        why = "what is listed below was looked for and is not there" if review.facts.flight else "no flight was judged"
+        why = "everything listed below was looked for and not found" if review.facts.flight else "no flight was judged"
         yield element("p", f"Nothing: {why}.")
     for finding in review.findings:
         said = finding.judgement
