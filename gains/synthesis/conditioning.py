@@ -15,6 +15,7 @@ import numpy as np
 from adapters.errors import InfeasibleError
 from gains.analysis.augment import ErrorModel
 from gains.analysis.hinf import hinf_norm
+from gains.analysis.riccati import doubled
 from gains.plants.plant import FloatArray
 
 FLOOR = 1e-2
@@ -27,9 +28,6 @@ bounds."""
 _FLOOR_SWEEPS = 6
 """Number of iterations for the floor of noise, which depends on the error that it influences. Measured: one fails on
 the arm, two give the result of twelve."""
-_DOUBLINGS = 60
-"""Largest number of doublings. Convergence is quadratic; measured, six to ten suffice. Sixty reach a filter that needs
-2 ^ 60 samples to forget."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,26 +106,3 @@ def with_floor(model: ErrorModel, S: FloatArray, Y: FloatArray) -> ErrorModel:
         direct=np.pad(model.direct, ((0, 0), (0, na + p))),
         free=replace(model.free, B=np.pad(model.free.B, ((0, 0), (0, na + p)))),
     )
-
-
-def doubled(X: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray:
-    """Return the limit of H in the structured doubling algorithm: a Riccati equation's stabilising solution.
-
-    SciPy's solvers order a generalised Schur form, which fails on the continuous arm without noise.
-    """
-    riccati = bool(G.any())  # without G it is Lyapunov's equation
-    for _ in range(_DOUBLINGS):
-        left, right = X.T @ H, X
-        if riccati:
-            W = np.linalg.inv(np.eye(len(X)) + G @ H)
-            left, right = left @ W, right @ W
-            G = G + right @ G @ X.T
-            G = 0.5 * (G + G.T)
-        step = left @ X
-        H, X = H + step, right @ X
-        H = 0.5 * (H + H.T)
-        if not np.all(np.isfinite(H)):
-            raise np.linalg.LinAlgError
-        if np.max(np.abs(step)) <= 1e-10 * np.max(np.abs(H)):
-            break
-    return H

@@ -23,10 +23,11 @@ from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import ErrorModel, augment, error_model
 from gains.analysis.estimability import check_existence
 from gains.analysis.hinf import hinf_norm
+from gains.analysis.riccati import doubled
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bounded_real import Demands, inequality, solve_continuous, user_design
 from gains.synthesis.certificate import ClosedErrorSystem, certify, closed_error_system
-from gains.synthesis.conditioning import FLOOR, Coordinates, doubled
+from gains.synthesis.conditioning import FLOOR, Coordinates
 from gains.synthesis.continuous_observer import check_continuous
 from gains.synthesis.design import Design
 from gains.synthesis.solver import DEFAULT, ROBUST, bordered, solve_program

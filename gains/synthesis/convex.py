@@ -27,11 +27,12 @@ from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import LARGEST_VERTEX_COUNT, Augmentation, ErrorModel, augment, error_model, varying_slopes
 from gains.analysis.estimability import check_existence
 from gains.analysis.hinf import hinf_norm
+from gains.analysis.riccati import doubled
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bounded_real import Demands, Inequality, Solution, inequality, solve_bounded_real, user_design
 from gains.synthesis.certificate import certify
-from gains.synthesis.conditioning import Coordinates, doubled, kalman_coordinates
+from gains.synthesis.conditioning import Coordinates, kalman_coordinates
 from gains.synthesis.design import Design, ObserverMatrices, observer_matrices
 
 GAIN_WEIGHT = 1e-3

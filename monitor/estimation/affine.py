@@ -23,9 +23,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gains.analysis.riccati import doubled
 from gains.plants.expression import compile_expression
 from gains.plants.plant import Plant
-from gains.synthesis.conditioning import doubled
 from gains.synthesis.gains_file import Gains
 from monitor.core.observers import AffineMap
 from monitor.estimation.coasting import StepMap, coasting_maps

@@ -26,7 +26,6 @@ from monitor.service.daemon import Daemon
 from monitor.service.inbox import OLDEST_S, Inbox
 from monitor.service.links import Counting, FirstLook, open_links, signing_guard
 from monitor.service.log import ServiceLog
-from monitor.service.ros_diagnostics import RosDiagnostics
 from monitor.service.station import Station
 from monitor.service.systemd import Notifier
 from monitor.service.watchdog import Watchdog
@@ -109,8 +108,11 @@ def _open_station(
     links = {link.name: link.link for link in opened}
     views = _open_views(config, log, stack)
     ground, messengers = _open_messengers(config, log, stack)
-    ros = RosDiagnostics(session, config.ros.domain) if config.ros.diagnostics else None
-    if ros is not None:
+    ros = None
+    if config.ros.diagnostics:
+        from monitor.service.ros_diagnostics import RosDiagnostics
+
+        ros = RosDiagnostics(session, config.ros.domain)
         stack.callback(ros.close)
     station = Station(config, read_again, session, inbox, journal, log, links, views, messengers, ground, ros)
     stack.callback(station.close)

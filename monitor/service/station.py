@@ -37,13 +37,13 @@ from monitor.service.health import Health, LinkHealth, ProcessHealth, link_healt
 from monitor.service.inbox import Inbox
 from monitor.service.links import Counting
 from monitor.service.log import Level, ServiceLog
-from monitor.service.ros_diagnostics import RosDiagnostics
 from monitor.service.vehicle_monitor import VehicleMonitor
 from monitor.service.vehicle_service import VehicleService
 
 if TYPE_CHECKING:
     import zenoh
 
+    from monitor.service.ros_diagnostics import RosDiagnostics
     from monitor.views.live_buffer import VehicleView
     from monitor.views.live_view import LiveView
 
