@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from monitor.vehicles.base import VehicleKind, likely_kinds, load
-from monitor.vehicles.kinds import KINDS, fit_messages, kind_named, transform_classes
+from monitor.vehicles.kinds import KINDS, TRANSFORMS, fit_messages, kind_named
 
 ROOT = Path(__file__).parent.parent
 
@@ -45,5 +45,6 @@ def test_the_autopilot_says_which_kind_is_likely(said: str, names: list[str]) ->
 
 def test_transforms_and_messages_of_all_kinds_are_known() -> None:
     known = {"surfaces", "airspeed", "drive", "strapdown", "esc", "vibration", "imbalance", "battery"}
-    assert set(transform_classes()) == known
+    assert set(TRANSFORMS) == known
+    assert all(callable(load(place)) for place in TRANSFORMS.values())
     assert {"ATTITUDE", "SERVO_OUTPUT_RAW", "GPS_RAW_INT", "VFR_HUD", "HEARTBEAT"} <= fit_messages()

@@ -31,7 +31,7 @@ from monitor.sampling.gate import GateRule
 from monitor.sampling.identity import Identity
 from monitor.sampling.transform import TransformRule
 from monitor.vehicles.inertial.strapdown import DEFAULTS, Strapdown
-from monitor.vehicles.kinds import transform_classes
+from monitor.vehicles.kinds import TRANSFORMS
 
 _EXAMPLE = Path(replay.__file__).parent / "data" / "quad"
 _HEAD = ("key", "type", "default", "what it is")
@@ -102,7 +102,7 @@ def profile_page() -> str:
             _defaults(Channel),
         ),
         "\n## `transform`\n\nIn place of `inputs` and `outputs`: raw `signals`, and what makes samples of them.\n",
-        _rows([("kind", "str", _one_of(transform_classes())), *_named(TransformRule, ("rate_hz",))], {}),
+        _rows([("kind", "str", _one_of(TRANSFORMS)), *_named(TransformRule, ("rate_hz",))], {}),
         "\nWhat the kind asks for stands beside them. Parameters of `strapdown`, with their defaults "
         f"({', '.join(f'`{key} = {value:g}`' for key, value in DEFAULTS.items())}): "
         f"{parameters_of(Strapdown)['parameters'][1]}\n\n"

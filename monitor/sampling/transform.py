@@ -13,7 +13,8 @@ from typing import Literal, Protocol
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
-from monitor.vehicles.kinds import transform_classes
+from monitor.vehicles.base import load
+from monitor.vehicles.kinds import TRANSFORMS
 
 
 class Transform(Protocol):
@@ -82,8 +83,7 @@ def make_transform(rule: TransformRule, rate_hz: float) -> Transform:
     TelemetryError
         There is no such kind, or it does not take these parameters or rates.
     """
-    classes = transform_classes()
-    if rule.kind not in classes:
-        raise TelemetryError(f"no transform is called '{rule.kind}'; there are {', '.join(classes)}")
-    transform: Transform = classes[rule.kind](rule.parameters, rule.rate_hz, rate_hz)
+    if rule.kind not in TRANSFORMS:
+        raise TelemetryError(f"no transform is called '{rule.kind}'; there are {', '.join(TRANSFORMS)}")
+    transform: Transform = load(TRANSFORMS[rule.kind])(rule.parameters, rule.rate_hz, rate_hz)
     return transform

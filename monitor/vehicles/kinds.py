@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 from monitor.vehicles.base import VehicleKind, load
 
@@ -74,6 +72,8 @@ KINDS = (
         needs_model=True,
     ),
 )
+TRANSFORMS: Mapping[str, str] = {name: place for kind in KINDS for name, place in kind.transforms.items()}
+"""Where the class of each transform stands, by its name in profiles: only a profile that names it loads it."""
 
 
 def kind_named(name: str) -> VehicleKind:
@@ -92,9 +92,3 @@ def fit_reading(model: Path | None = None) -> tuple[frozenset[str], frozenset[st
         messages: frozenset[str] = load("monitor.vehicles.custom.fit:custom_messages")(model)
         return messages, frozenset()
     return fit_messages(), frozenset[str]().union(*(load(kind.types) for kind in KINDS if kind.types))
-
-
-@cache
-def transform_classes() -> Mapping[str, Any]:
-    """Return the classes of all transforms by their names in profiles."""
-    return {name: load(reference) for kind in KINDS for name, reference in kind.transforms.items()}
