@@ -29,8 +29,8 @@ cdef int _RESET_TICKS = 3
 # Chosen: twice the smallest error of a position that is worth an alarm. A fix that was constant for long and then moves
 # by less was that of a vehicle at rest without noise, as in simulators.
 cdef double _STUCK_METRES = 1.0
-# A change of slope above the rounding of a straight line, relative to the velocity: some thousand times double
-# precision.
+# A change above rounding, of the slope of a straight line or of a fix, relative to the velocity or the fix: some
+# thousand times double precision.
 cdef double _BENT = 1e-12
 # Speed of a receiver at rest, m/s: the noise of its velocity, as the navigation assumes it at the start.
 cdef double _STANDS = 0.1
@@ -821,7 +821,7 @@ cdef class StrapdownCore:
             sensed, sensed + 3, sensed + 26, sensed + 6, sensed + 16, sensed + 20, sensed[19] != 0.0, ahead, motion
         )
         self._navigation.differ(sensed + 6, self._apart)
-        news = memcmp(fix, self._fix, sizeof(self._fix)) != 0
+        news = not self.repeats(fix)
         # After a rest the first moving fix is compared when it comes, and so are later fixes, not the lines between
         # them.
         self._stood |= stands
@@ -859,6 +859,14 @@ cdef class StrapdownCore:
         """Return whether the vehicle is at rest, for as long as a fix may stay the same: then no receiver is stuck."""
         return self._resting > self._gps_hold > 0
 
+    cdef bint repeats(self, const double* fix) noexcept:
+        """Return whether a fix is the one before, but for rounding, as a velocity between two fixes is a vector."""
+        cdef int i
+        for i in range(5):
+            if fabs(fix[i] - self._fix[i]) > _BENT * max(1.0, fabs(fix[i])):
+                return False
+        return True
+
     cdef void follow_fix(self, const double* fix, const double* motion) noexcept:
         """Follow the GPS's speed, by the accelerations while the fix stays the same.
 
@@ -869,7 +877,7 @@ cdef class StrapdownCore:
         cdef int axis
         if fix[5]:
             return
-        if memcmp(fix, self._fix, sizeof(self._fix)) == 0 and not self.rests():
+        if self.repeats(fix) and not self.rests():
             self._fix_age += 1
             for axis in range(2):
                 self._reckoned[axis] = self._reckoned[axis] + motion[axis] * self._dt
