@@ -327,19 +327,23 @@ def tilted(roll: float, **others: LogSignal) -> LogReview:
 
 
 @pytest.mark.parametrize(
-    ("felt", "climbed", "found"),
+    ("felt", "climbed", "blow", "found"),
     [
-        ((0.0, 4.0, -8.9), 0.1, True),  # it leans by 24 degrees to the left
-        ((0.0, -5.0, -14.0), 0.1, False),  # a dash that keeps its height, by thrust and drag
-        ((0.0, 0.0, -9.8), -7.0, False),  # it falls
-        ((0.0, -9.3, -3.0), 0.1, False),  # it lies on its side
+        ((0.0, 4.0, -8.9), 0.1, 9.8, True),  # it leans by 24 degrees to the left
+        ((0.0, -5.0, -14.0), 0.1, 9.8, False),  # a dash that keeps its height, by thrust and drag
+        ((0.0, 0.0, -9.8), -7.0, 9.8, False),  # it falls
+        ((0.0, -9.3, -3.0), 0.1, 9.8, False),  # it lies on its side
+        ((0.0, 4.0, -8.9), 0.1, 150.0, False),  # it has hit the ground
     ],
 )
-def test_an_estimator_that_leans_alone_is_named(felt: tuple[float, float, float], climbed: float, found: bool) -> None:
+def test_an_estimator_that_leans_alone_is_named(
+    felt: tuple[float, float, float], climbed: float, blow: float, found: bool
+) -> None:
     times = np.arange(600) / 10
     leaning = np.clip((times - 30.0) / 4.0, 0.0, 1.0)
     attitude = LogSignal(times, np.outer(leaning, [70.0, 0.0, 0.0]), ("roll", "pitch", "yaw"), "deg", "ATT")
     force = LogSignal(times, np.tile(felt, (600, 1)), ("x", "y", "z"), "", "IMU")
+    force.values[310, 2] = -blow
     height = LogSignal(times, climbed * leaning[:, None], ("barometer",), "m", "BARO")
     signals = {"attitude": attitude, "acceleration": force, "height": height}
     facts = LogFacts("ArduPilot", "multirotor", 0, 60.0, ((0.0, 60.0),), ((1.0, 36.0),), signals)
