@@ -232,6 +232,7 @@ def telemetry(
     drift_m: float = 0.0,
     unheard: tuple[float, float] = (0.0, 0.0),
     estimator: Callable[[float], tuple[int, float]] | None = None,
+    navigation_alone: bool = False,
 ) -> Path:
     """Write a flight of ArduPilot as a ground station records it, its motors on four outputs from ``first_output`` on.
 
@@ -252,9 +253,11 @@ def telemetry(
         roll = [radians(flight.tilt_deg(at)), 0.0, radians(flight.yaw_deg(at)), *[0.0] * 3]
         metres = flight.height(at) + drift_m * min(at, 1.0)
         armed = 128 * flight.armed(at) + 1
+        wanted = 20.0 if navigation_alone else flight.tilt_wanted_deg(at)
         packets += [
             (at, mavlink.MAVLink_heartbeat_message(22 if flight.vtol else 2, 3, armed, flight.mode, 4, 3)),
             (at, mavlink.MAVLink_attitude_message(round(1000 * at), *roll)),
+            (at, mavlink.MAVLink_nav_controller_output_message(wanted, 0.0, 0, 0, 0, 0.0, 0.0, 0.0)),
             (at, mavlink.MAVLink_scaled_pressure_message(round(1000 * at), 1013.25 - metres / 8.43, 0.0, 2000)),
             (at, mavlink.MAVLink_servo_output_raw_message(round(1e6 * at), 0, *pulses)),
         ]

@@ -302,6 +302,14 @@ def test_what_comes_after_a_fall_is_no_finding(tmp_path: Path) -> None:
     assert names(rules_on(px4_log(tmp_path / "flight.ulg", flight))) == ["motors_stopped_in_air"]
 
 
+@pytest.mark.parametrize(("navigation_alone", "found"), [(False, ["attitude_not_followed"]), (True, [])])
+def test_telemetry_tells_the_wanted_attitude_if_flights_follow_it(
+    navigation_alone: bool, found: list[str], tmp_path: Path
+) -> None:
+    path = telemetry(tmp_path / "flight.tlog", CASES["attitude_not_followed"], 0.1, navigation_alone=navigation_alone)
+    assert names(rules_on(path)) == found
+
+
 def test_attitudes_are_compared_by_the_shorter_way_round(tmp_path: Path) -> None:
     flight = Flight(tilt_wanted_deg=between(30.0, 33.0, 175.0, 0.0), tilt_deg=between(30.0, 33.0, -175.0, 0.0))
     review = rules_on(px4_log(tmp_path / "flight.ulg", flight))

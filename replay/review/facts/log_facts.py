@@ -297,8 +297,10 @@ def _unmoved(facts: LogFacts) -> Iterator[tuple[float, float]]:
             return []
         # all axes: a vehicle that lost a rotor may keep roll and pitch, but spins
         still = (np.ptp(sliding_window_view(angles, samples, axis=0), axis=-1) < still_deg).all(axis=1)
-        stands = still & sliding_window_view(must, samples).all(axis=-1)
-        return spans_where(times, np.convolve(stands, np.ones(samples)) > 0.5)
+        stands = np.convolve(still & sliding_window_view(must, samples).all(axis=-1), np.ones(samples)) > 0.5
+        # the first sample shows how it came to the ground, and belongs to the flight
+        stands[1:] &= stands[:-1].copy()
+        return spans_where(times, stands)
 
     if wanted:
         far = degrees_apart(wanted.at(times)[:, :2], angles[:, :2]).max(axis=1) > _ASKED_DEG

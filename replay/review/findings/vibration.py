@@ -47,7 +47,7 @@ def _judge(facts: LogFacts, vibration: LogSignal) -> Iterator[Judgement]:
 
 def _said(most: float, clipped: float, strong: bool) -> str:
     if not strong:
-        return f"an accelerometer was at the end of its range in {clipped:.0f} samples, with weak vibration ({most:.2g} m/s2)"
+        return f"an accelerometer was at the end of its range in {clipped:.0f} samples, with vibration below the limit"
     also = f", and {clipped:.0f} clipped samples of an accelerometer" if clipped else ""
     return f"strong vibration, up to {most:.0f} m/s2{also}"
 
