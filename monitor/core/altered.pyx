@@ -1,14 +1,14 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""Messages that were altered on their way: outputs that stand still beside others, stamps of another pace.
+"""Finds messages that were altered on their way: outputs that repeat while others change, stamps of another pace.
 
-Outputs. In flight all motors answer the same gusts, so an output that stands still to the bit while others of its
-message move was altered, or is at a limit. A limit is the smallest or the largest output of the flight, one at which an
-output has stood before, or what stands in for the output of a stopped motor.
+Outputs. In flight all motors respond to the same gusts. So an output that repeats to the bit while others of its
+message change was altered, or is at a limit: the smallest or the largest output of the flight, a value at which an
+output has stayed before, or the value that replaces a stopped motor's.
 
-Stamps. A message has its period in the time of its stamps, and comes as often as the link brings it. A link that holds
-messages back or catches up leaves the stamps as they are, and a simulation at another speed does, too: there the
-period in stamps is the same. Another rate changes the period, but not how much stamps go on in the receiver's time.
-Where both change alike, the stamps were altered, or the vehicle's clock runs at another speed than its own work.
+Stamps. A message has a period in its stamps, and a pace: how fast stamps go on in the receiver's time. A link that
+holds messages back or catches up, and a simulation at another speed, change the pace but not the period. Another rate
+changes the period but not the pace. Where both change alike, the stamps were altered, or the vehicle's clock does not
+run at the speed of its program.
 """
 
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
@@ -17,41 +17,45 @@ from libc.math cimport INFINITY, fabs, rint
 # In nanoseconds.
 cdef long long SECOND = 1_000_000_000
 
-# How long an output stands still, and while how many messages in which others move. Measured in flight on 70 recordings
-# of multirotors: 0.2 s and 12 messages at 100 Hz, 0.6 s and 5 at 10 Hz, 2 s and 3 at 2 Hz.
+# Least time for which an altered output repeats, and least number of messages in which others change meanwhile.
+# Measured in flight on 70 recordings of multirotors: healthy outputs repeat for 0.2 s and 12 messages at 100 Hz, 0.6 s
+# and 5 at 10 Hz, 2 s and 3 at 2 Hz.
 cdef long long STOOD = 3 * SECOND
 cdef int MOVED = 20
-# Times the most messages for which one stood in this flight. Chosen: as outputs of a calm flight change seldom.
+# The number of messages is also at least this multiple of the largest in this flight. Chosen: outputs of a calm flight
+# change seldom.
 cdef int MORE = 4
-# How long an output stands at what is a limit. Chosen: five times as long as outputs stand between their limits.
+# Time for which an output repeats at a limit. Chosen: five times as long as outputs repeat between their limits.
 cdef long long LIMIT = SECOND
 
-# Least change of a period that counts. Chosen: five times what a loop of 4 ms that keeps it makes over a second.
+# Least change of a period that counts. Chosen: five times the error that a loop of 4 ms makes over a second.
 cdef double LEAST = 0.02
-# Share of that change by which the pace may differ from it. Chosen: over 3 s and for a change of a tenth, 75 ms of
-# jitter.
+# Largest difference between the changes of pace and period, as a share. Chosen: 75 ms of jitter over 3 s with a change
+# of a tenth.
 cdef double ALIKE = 0.25
-# Steps and time, at least, of which a mean is taken; longest step in periods that counts, as some may be lost.
+# Least number of steps in a mean; longest step that counts, in periods, as some messages may be lost.
 cdef int STEPS = 16
 cdef int LONGEST = 3
 # A step of stamps that differs by more from that of arrivals is a jump of the clock, or of the link's delay. Chosen: as
 # long as the vehicle's clock takes a stamp for early (monitor/core/sampling.pyx).
 cdef long long JUMP = 250_000_000
-# Means that changed before they are compared, and after which a period that the pace does not follow is another rate.
+# Changed means in a row after which period and pace are compared, so that a late batch does not count, and after which
+# a changed period is taken for another rate.
 cdef int CHANGED = 3
 cdef int RATE = 8
-# Share by which what is usual follows a mean: a period is exact, a pace has the link's jitter and its backlog.
+# Weight of a mean in the usual period and pace. Chosen: a period is exact, a pace contains the link's jitter and
+# backlog.
 cdef double FOLLOW = 0.125
 cdef double FOLLOW_PACE = 0.25
 
 
 cdef class Stands:
-    """The newest outputs of a message and since when each stands still.
+    """The newest outputs of a message, and since when each repeats.
 
     Parameters
     ----------
     stopped : Sequence[float]
-        What stands in for each output while its motor is stopped; NaN: nothing does.
+        The value that replaces each output while its motor is stopped; NaN: none.
     """
 
     def __cinit__(self, stopped):
@@ -71,7 +75,7 @@ cdef class Stands:
         PyMem_Free(self._since)
 
     cdef bint take(self, long long stamp, const double* row, bint flies) noexcept:
-        """Take a row of outputs; return whether one of them stands still for too long."""
+        """Process a row of outputs; return whether one of them has repeated for too long."""
         cdef bint stands = False
         cdef int moves = 0, i
         if flies and not self._flies:
@@ -97,7 +101,7 @@ cdef class Stands:
         return stands
 
     cdef bint is_limit(self, int which, double value) noexcept:
-        """Return whether an output stands still at a value on its own."""
+        """Return whether a value is a limit, at which a healthy output may repeat."""
         cdef int i
         if value == self._stopped[which]:
             return True
@@ -108,10 +112,10 @@ cdef class Stands:
 
 
 cdef class Pace:
-    """The usual period of a message in the time of its stamps, and how fast these go on in the receiver's time."""
+    """The usual period and pace of a message's stamps."""
 
     cdef bint take(self, long long stamp, long long received) noexcept:
-        """Take a stamp; return whether stamps come at another pace than before, and as often."""
+        """Process a stamp; return whether period and pace of the stamps have changed alike."""
         cdef long long step = stamp - self._last, gone = received - self._first_received, jump
         cdef double periods = 1.0, period, pace
         if not -10 * SECOND < step < 10 * SECOND or gone < 0:
@@ -151,7 +155,7 @@ cdef class Pace:
         return True
 
     cdef void begin(self, long long stamp, long long received) noexcept:
-        """Begin to take a mean."""
+        """Begin another mean."""
         self._first = self._last = stamp
         self._first_received = self._last_received = received
         self._span, self._steps = 0, 0
