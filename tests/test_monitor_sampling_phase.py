@@ -129,12 +129,19 @@ def test_in_the_vehicles_own_log_which_holds_each_change_no_report_is_contested(
     assert all(not contested for _, _, contested in found)
 
 
-@pytest.mark.parametrize("lag_s", [1.2, 2.3, 3.0])
-def test_a_landing_reported_over_two_links_up_to_three_seconds_apart_is_no_contest(lag_s: float) -> None:
+@pytest.mark.parametrize("lag_s", [1.2, 2.3, 3.0, 3.5])
+def test_a_landing_reported_over_two_links_up_to_three_and_a_half_seconds_apart_is_no_contest(lag_s: float) -> None:
     says = [209] * 10 + [81] * 10
     found = states([beat(at + delay, mode) for at, mode in enumerate(says) for delay in (0.02, lag_s)])
     assert all(not contested for _, _, contested in found)
     assert found[-1][0] is False
+
+
+def test_a_take_off_and_the_climb_after_it_are_no_contest_over_two_links() -> None:
+    says = [1] * 18 + [3] * 18 + [2] * 20
+    found = states([landed(0.5 * step + delay, state) for step, state in enumerate(says) for delay in (0.02, 3.5)])
+    assert all(not contested for _, _, contested in found)
+    assert found[-1][1] == "air"
 
 
 def test_a_contest_ends_with_the_true_reports_on_the_ground() -> None:

@@ -55,7 +55,8 @@ _CHANGES = 8
 """Changes of any kind from which on reports are contested: landing and bouncing twice make six. A second sender makes
 them in 4 s."""
 _HELD_NS = 3_500_000_000
-"""Shortest time of those changes: the slower of two radios repeats an old report up to 3 s later (docs/limits.md)."""
+"""Shortest time from the first to the last change between the same two values: the slower of two radios repeats an old
+report up to 3 s later (docs/limits.md), of a take-off and of the climb after it."""
 _PERIODS = 1.5
 """Longest step that counts as one period and not two, for reports with a jitter of half a period. Steps of reports that
 keep their period, and do not come in bursts from a link that holds them back, are shorter than a period by at most
@@ -110,8 +111,11 @@ class Said(NamedTuple):
 
 
 def _contested(times: tuple[int, ...], values: tuple[object, ...]) -> bool:
-    changes = [time for time, (a, b) in zip(times[1:], pairwise(values), strict=True) if a != b]
-    if len(changes) >= _CHANGES and changes[-1] - changes[0] > _HELD_NS:
+    changes = [
+        (time, frozenset(pair)) for time, pair in zip(times[1:], pairwise(values), strict=True) if len(set(pair)) > 1
+    ]
+    first: dict[frozenset[object], int] = {}
+    if len(changes) >= _CHANGES and any(time - first.setdefault(pair, time) > _HELD_NS for time, pair in changes):
         return True
     steps = sorted(b - a for (a, x), (b, y) in pairwise(zip(times, values, strict=True)) if x == y)
     if not steps:
