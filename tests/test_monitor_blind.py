@@ -202,3 +202,18 @@ def test_passing_time_that_causes_no_event_leaves_no_trace(flight: list[Message]
     events += events_of(profile, waiting, pipeline)
     assert events_of(profile, [*recorded, *waiting]) == events
     assert "blind" in [event.channel for event in events]
+
+
+@pytest.mark.parametrize(("names", "share", "period_s"), [((), 0.9, 1.0), (("HIGHRES_IMU",), 0.8, 0.5)])
+def test_a_link_that_loses_nearly_all_is_blind_after_five_seconds(
+    flight: list[Message], names: tuple[str, ...], share: float, period_s: float
+) -> None:
+    start_ns = flight[0].received_ns + 15 * 10**9
+
+    def lost(message: Message) -> bool:
+        since_s = (message.received_ns - start_ns) / 1e9
+        return (not names or message.name in names) and since_s >= 0.0 and since_s % period_s < share * period_s
+
+    first = blind_of(read_profile(QUAD), [message for message in flight if not lost(message)])[0]
+    # the first stretch that comes after a loss may still be evidence
+    assert 4.5 < (first.time_ns - start_ns) / 1e9 < 6.0
