@@ -29,6 +29,7 @@ HEAVY = {
     "mcap",
     "google",
     "rich",
+    "importlib.metadata",  # a quarter of the time in which the command line is built
 }
 
 

@@ -7,7 +7,6 @@ import platform
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -87,6 +86,8 @@ def diagnose(config: Config, folders: Sequence[Path]) -> list[DoctorCheck]:
 
 def version_checks() -> list[DoctorCheck]:
     """Check that libraries are installed and new enough, and list the installed extras."""
+    from importlib.metadata import version
+
     from monitor.diagnosis.versions import libraries
 
     known = libraries()
