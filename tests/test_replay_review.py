@@ -877,6 +877,14 @@ def test_the_command_says_it_in_words_in_json_and_on_a_page(tmp_path: Path, caps
     assert len(capsys.readouterr().out.splitlines()) == 2
 
 
+def test_a_page_shows_roll_and_pitch_without_the_scale_of_yaw(tmp_path: Path) -> None:
+    log, page = px4_log(tmp_path / "leans.ulg", CASES["attitude_not_followed"]), tmp_path / "leans.html"
+    assert fauio.main(["review", "--quick", str(log), "--report", str(page)]) == 1
+    said = page.read_text()
+    assert '"roll"' in said
+    assert '"yaw"' not in said
+
+
 def test_a_page_draws_a_condition_of_the_whole_flight_over_the_whole(tmp_path: Path) -> None:
     log, page = px4_log(tmp_path / "shaken.ulg", CASES["vibration"]), tmp_path / "shaken.html"
     assert fauio.main(["review", "--quick", str(log), "--report", str(page)]) == 1

@@ -102,7 +102,10 @@ def _signals(
     drawn = []
     for name, part in shown:
         title = f"{name.replace('_', ' ')} ({part.origin})"
-        chart = signal_chart(title, part.time_s, part.values, part.names, part.unit)
+        # a turn about the vertical is no finding, and its scale hides roll and pitch
+        columns = [k for k, column in enumerate(part.names) if column != "yaw"]
+        labels = [part.names[k] for k in columns]
+        chart = signal_chart(title, part.time_s, part.values[:, columns], labels, part.unit)
         chart.content["marks"] = [] if at_s is None else [[round(at_s, 3), ""]]
         chart.content["window"] = [round(start_s, 3), round(end_s, 3)]
         drawn.append(charts.add(chart))
