@@ -399,7 +399,8 @@ cdef class Choice:
         """Return whether an actuator delivers more than commanded by hypothesis k."""
         cdef Py_ssize_t i
         for i in range(self.spans[k], self.spans[k + 1]):
-            if self.scaling[i] and self.fault[i] > 0.0:
+            # The overshoot of a loss that ends is no gain.
+            if self.scaling[i] and self.fault[i] > max(0.0, -self.mean_fault[i]):
                 return True
         return False
 
