@@ -25,6 +25,8 @@ cdef class Pace:
     cdef long long _first, _first_received, _last, _last_received, _span
     cdef int _steps, _changed
     cdef double _usual, _usual_pace
+    # Of the delays at the usual pace the least and the most of this mean, and how much they vary.
+    cdef double _least, _most, _spread
     # The latest mean period in usual ones.
     cdef double ratio
 

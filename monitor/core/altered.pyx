@@ -117,11 +117,15 @@ cdef class Pace:
     cdef bint take(self, long long stamp, long long received) noexcept:
         """Process a stamp; return whether period and pace of the stamps have changed alike."""
         cdef long long step = stamp - self._last, gone = received - self._first_received, jump
-        cdef double periods = 1.0, period, pace
+        cdef double periods = 1.0, period, pace, delay, change
+        cdef bint is_alike
         if not -10 * SECOND < step < 10 * SECOND or gone < 0:
-            self._usual, self._changed = 0.0, 0
+            self._usual, self._changed, self._spread = 0.0, 0, INFINITY
             self.begin(stamp, received)
             return False
+        if self._usual > 0.0:
+            delay = <double>gone - <double>(stamp - self._first) / self._usual_pace
+            self._least, self._most = min(self._least, delay), max(self._most, delay)
         if step <= 0:
             return False
         jump = step - (received - self._last_received)
@@ -142,14 +146,21 @@ cdef class Pace:
         self._span, self._steps = 0, 0
         if fabs(self.ratio - 1.0) < LEAST or self._changed >= RATE:
             if self._usual == 0.0 or self._changed >= RATE:
-                self._usual, self._usual_pace = period, pace
+                self._usual, self._usual_pace, self._spread = period, pace, INFINITY
+            elif self._spread == INFINITY:
+                self._spread = self._most - self._least
+            else:
+                self._spread = max(self._most - self._least, (1.0 - FOLLOW) * self._spread)
             self._usual += FOLLOW * (period - self._usual)
             self._usual_pace += FOLLOW_PACE * (pace - self._usual_pace)
             self._changed = 0
             self.begin(stamp, received)
             return False
         self._changed += 1
-        if self._changed < CHANGED or fabs(pace / self._usual_pace - self.ratio) > ALIKE * fabs(self.ratio - 1.0):
+        change = ALIKE * fabs(self.ratio - 1.0)
+        # Delays that vary by as much tell nothing about the pace.
+        is_alike = fabs(pace / self._usual_pace - self.ratio) <= change
+        if self._changed < CHANGED or not is_alike or self._spread > change * gone:
             return False
         self._changed = CHANGED
         return True
@@ -158,4 +169,4 @@ cdef class Pace:
         """Begin another mean."""
         self._first = self._last = stamp
         self._first_received = self._last_received = received
-        self._span, self._steps = 0, 0
+        self._span, self._steps, self._least, self._most = 0, 0, 0.0, 0.0
