@@ -25,6 +25,8 @@ from review_logs import (
 from synthetic_run import START_NS, event
 
 import fauio
+from adapters.logs.tlog import TlogReader
+from adapters.mavlink.mavlink_message import message_number
 from monitor.alarms.command_watch import CommandSent
 from replay.player import Replay
 from replay.review import learning
@@ -586,6 +588,19 @@ def test_planes_and_rovers_are_judged_while_they_move(log: str, vehicle: str) ->
     assert review.facts.flight_s > 20.0
     assert "Failsafe announced" in review.watched
     assert ("s of flight" in review.sentence) is (vehicle == "plane")
+
+
+def test_accelerations_and_pressure_of_a_link_are_taken_from_its_imu(tmp_path: Path) -> None:
+    facts = review_log(DATA / "copter_motor2_080.tlog.xz", learn=False).facts
+    assert np.median(facts.signal("acceleration").values[:, 2]) == pytest.approx(-9.8, abs=1.0)
+    assert facts.signal("height").origin == "HIGHRES_IMU"
+    slow = tmp_path / "slow.tlog"
+    highres_imu = 105
+    packets = enumerate(TlogReader(DATA / "copter_motor2_080.tlog.xz").packets())
+    kept = (one for k, one in packets if message_number(one[1]) != highres_imu or k % 30 == 0)
+    slow.write_bytes(b"".join((at // 1000).to_bytes(8) + packet for at, packet in kept))
+    review = review_log(slow, learn=False)
+    assert "less than 20 times a second" in review.unjudged["Attitude contradicted by accelerometers"]
 
 
 def test_what_the_log_lacks_is_said(tmp_path: Path) -> None:

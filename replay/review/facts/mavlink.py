@@ -7,9 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adapters.mavlink.heartbeat import ARDUPILOT, PX4, mode_name
 from monitor.alarms.command_watch import COMMANDS, CommandSent, command_sent
+from monitor.fitting.survey import IMUS
 from replay.review.facts.ardupilot import output_commands
 from replay.review.facts.log_facts import (
     ANGLES,
@@ -33,7 +35,7 @@ from replay.review.facts.log_facts import (
 TOPICS = frozenset(
     {
         "HEARTBEAT", "EXTENDED_SYS_STATE", "SERVO_OUTPUT_RAW", "ATTITUDE", "ATTITUDE_TARGET", "SCALED_PRESSURE",
-        "LOCAL_POSITION_NED", "HIGHRES_IMU", "RAW_IMU", "SYS_STATUS", "GPS_RAW_INT", "EKF_STATUS_REPORT",
+        "LOCAL_POSITION_NED", *IMUS, "SYS_STATUS", "GPS_RAW_INT", "EKF_STATUS_REPORT",
         "ESTIMATOR_STATUS", "VIBRATION", "STATUSTEXT", "PARAM_VALUE", "NAV_CONTROLLER_OUTPUT",
     }
 ) | COMMANDS  # fmt: skip
@@ -58,6 +60,11 @@ _ESTIMATORS = {
     "ESTIMATOR_STATUS": ["vel_ratio", "pos_horiz_ratio", "pos_vert_ratio"],
 }
 """Reports of estimators, with their innovations as shares of the gates."""
+_PRESSURES = {"SCALED_PRESSURE": "press_abs", "HIGHRES_IMU": "abs_pressure"}
+"""Messages of the static pressure in hectopascal, with its field; 0 where the vehicle has no barometer."""
+_BLOW_HZ = 20.0
+"""Least rate of accelerations in which a blow or a fall shows, hertz. Chosen: a blow rings for a tenth of a second;
+ArduPilot logs 25."""
 _MILLI = 1e-3
 _HECTOPASCAL_M = 8.43
 """Metres of height per hectopascal at sea level: R T / (g M p) at 15 degrees and 1013.25 hPa."""
@@ -72,14 +79,17 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
 
     end_s = records.duration_s + 1e-3
     modes = get("HEARTBEAT", ["base_mode", "custom_mode", "autopilot"], ["base", "custom", "autopilot"], "")
-    own = modes.values[:, 2] != _NO_AUTOPILOT
-    modes = replace(modes, time_s=modes.time_s[own], values=modes.values[own])
+    modes = _where(modes.values[:, 2] != _NO_AUTOPILOT, modes)
     arming = modes.changes(lambda base: base.astype(int) & _ARMED > 0)
     armed = state_spans(arming, end_s)
     signals: dict[str, LogSignal] = {}
     lacks: dict[str, str] = {}
-    pressure = get("SCALED_PRESSURE", ["press_abs"], ["barometer"], "m", -_HECTOPASCAL_M)
-    signals["height"] = pressure.above_begin()
+    pressures = (get(name, [column], ["barometer"], "m", -_HECTOPASCAL_M) for name, column in _PRESSURES.items())
+    signals["height"] = first_known(*(_where(of.only < 0.0, of) for of in pressures)).above_begin()
+    forces = [get(name, ["xacc", "yacc", "zacc"], ["x", "y", "z"], "m/s2", scale) for name, scale in IMUS.items()]
+    signals["acceleration"] = first_known(*filter(_shows_blows, forces), NO_SIGNAL)
+    if any(forces) and not signals["acceleration"]:
+        lacks["acceleration"] = f"accelerations come less than {_BLOW_HZ:g} times a second"
     signals["height_estimate"] = get("LOCAL_POSITION_NED", ["z"], ["estimate"], "m", -1.0).above_begin()
     signals["climb"] = get("LOCAL_POSITION_NED", ["vz"], ["climb"], "m/s", -1.0)
     landed = get("EXTENDED_SYS_STATE", ["landed_state"], ["landed"], "")
@@ -130,6 +140,14 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         signals, (*_statements(records, system, kind, autopilot, modes), *state_statements(arming, landing)),
         tuple(_commands(records, system)), records.parameters, lacks,
     )  # fmt: skip
+
+
+def _where(rows: NDArray[np.bool_], signal: LogSignal) -> LogSignal:
+    return replace(signal, time_s=signal.time_s[rows], values=signal.values[rows])
+
+
+def _shows_blows(force: LogSignal) -> bool:
+    return bool(force) and len(force.time_s) > _BLOW_HZ * float(np.ptp(force.time_s))
 
 
 def _followed(wanted: LogSignal, attitude: LogSignal, flight: Spans) -> bool:
