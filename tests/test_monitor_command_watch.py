@@ -221,7 +221,7 @@ def test_the_alarm_lasts_as_long_as_a_stranger_steers_and_says_what_else_he_does
     ]
     assert "disarms and steers it by joystick in flight" in events[1].message
     assert "system 71" in events[3].message
-    assert events[3].message.endswith("; others command it, too")
+    assert events[3].message.endswith("; further senders command it, too")
     # A recording holds the commands, though they come from others.
     play(profile, with_commands(flight, [*steers, *others]), record=tmp_path / "flight.mcap")
     assert list(play(profile, read_recording(tmp_path / "flight.mcap")).events) == events

@@ -707,7 +707,9 @@ def test_a_rover_may_be_disarmed_by_anybody() -> None:
 def test_a_log_that_begins_in_flight_does_not_know_who_commanded_before() -> None:
     facts = LogFacts("PX4", "multirotor", 0, 60.0, ((0.0, 60.0),), ((0.0, 60.0),), {})
     review = judged(Path("copter.ulg"), replace(facts, commands=(CommandSent(0.5, 255, 0, "400", (0.0,)),)))
-    assert "begins in flight" in review.unjudged["Commands from a new sender in flight"]
+    assert not review.wrong
+    [found] = review.findings
+    assert (found.judgement.weight, "begins in flight" in found.judgement.counter[0]) == ("information", True)
 
 
 def test_a_plane_whose_log_has_no_barometer_flies_by_its_receivers_height(tmp_path: Path) -> None:

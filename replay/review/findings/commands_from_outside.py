@@ -10,7 +10,7 @@ import numpy as np
 
 from monitor.alarms.command_watch import FLOOD, CommandSent, CommandWatch, ends_flight
 from replay.review.facts.log_facts import BEGIN_S, LogFacts
-from replay.review.findings.rule import Judgement, Rule, UnjudgedError, Weight
+from replay.review.findings.rule import Judgement, Rule, Weight
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
@@ -46,8 +46,10 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 evidence=before.evidence if said.text == before.text else (*before.evidence, _evidence(command)),
                 weight=max(before.weight, weight, key=get_args(Weight).index),
             )
-    if found and not watch.known and facts.flight[0][0] < BEGIN_S:
-        raise UnjudgedError("the log begins in flight, and nobody knows who commanded before")
+    if not watch.known and facts.flight and facts.flight[0][0] < BEGIN_S:
+        # it may be the operator, who commanded before the log begins
+        unknown = "the log begins in flight: who commanded before take-off is not known"
+        found = {sender: replace(one, counter=(unknown,), weight="information") for sender, one in found.items()}
     yield from found.values()
     if flood_s is not None:
         yield Judgement(
