@@ -126,6 +126,19 @@ def test_commands_too_small_for_flight_blind_a_vehicle_that_reports_to_fly(
     assert 5.5 < since_s(flight, blind) < 6.1
 
 
+def test_a_vehicle_that_stopped_its_motors_at_the_height_of_its_home_has_landed(
+    profile: Profile, flight: list[Message]
+) -> None:
+    stopped = dict.fromkeys(("servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw"), 1000)
+    heights = [
+        replace(m, name="GLOBAL_POSITION_INT", fields={"relative_alt": 30_000 if since_s(flight, m) < -2.0 else 300})
+        for m in flight
+        if m.name == "ATTITUDE"
+    ][::20]
+    messages = outputs(flight, lambda s: stopped if s >= 0.0 else {})
+    assert raised(profile, sorted((*messages, *heights), key=lambda m: m.received_ns)) == []
+
+
 def landing(flight: list[Message], sinks_mm_s: float | None, command: int | None) -> list[Message]:
     """Return messages of a vehicle that reports that it lands, with a sinking altitude (None: no fix) and commands."""
 

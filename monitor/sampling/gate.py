@@ -141,7 +141,7 @@ class FlightGate:
             self._lifted, self._reported_ns, self._low_ns, self._down = False, None, None, False
         self.down, self._waits = self._down, -1
         reported = allowed and rule.require_airborne and commands and phase.landed is not None
-        flies = self._flies(samples) if reported else np.ones(len(samples), np.bool_)
+        flies = self._flies(samples, phase.low or phase.logged) if reported else np.ones(len(samples), np.bool_)
         cuts = [0, *(np.flatnonzero(np.diff(flies)) + 1).tolist(), len(samples)]
         parts = [
             self._settling.run(samples.part(start, stop), self.carried and allowed and bool(flies[start]), least)
@@ -152,8 +152,13 @@ class FlightGate:
         self.carried &= self._least is None or self._settling.commanded
         return np.concatenate(parts) if parts else flies
 
-    def _flies(self, samples: Samples) -> NDArray[np.bool_]:
-        """Return which samples of a vehicle that reports that it flies are from after it lifted off (n,)."""
+    def _flies(self, samples: Samples, landed: bool) -> NDArray[np.bool_]:
+        """Return which samples of a vehicle that reports that it flies are from after it lifted off (n,).
+
+        A vehicle that came down by its command is ``landed`` if it is at about the height of its home, or if its own
+        log says so, which nobody alters: it then waits for its next take-off, however long its landing detector takes
+        (14 s in a flight of PX4).
+        """
         times_ns, command = samples.vehicle_time_ns, samples.u.mean(axis=1)
         low = command < self._rule.airborne_command
         if self._lifted and not low.any():
@@ -167,7 +172,7 @@ class FlightGate:
             if not self._lifted:
                 self._lifted = bool(hovers[row]) or (not is_low and time_ns - self._reported_ns >= _LIFTED_NS)
                 self._down &= not self._lifted
-                if not (self._lifted or self._down):
+                if not self._lifted and (landed or not self._down):
                     self._waits = row
             elif not is_low:
                 self._low_ns = None

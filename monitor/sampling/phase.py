@@ -201,9 +201,14 @@ class FlightPhase:
         return self._high_ns is not None or (self.level and self.hovers)
 
     @property
+    def low(self) -> bool:
+        """Whether it is at about the height of its home, by all reports of the last second."""
+        return self._low_ns is not None
+
+    @property
     def near_home(self) -> bool:
         """Whether a vehicle that does not report whether it flies is at about the height of its home."""
-        return self._landed is None and self._low_ns is not None
+        return self._landed is None and self.low
 
     @property
     def armed(self) -> bool | None:
@@ -224,7 +229,7 @@ class FlightPhase:
     def state(self) -> tuple[object, ...]:
         """The part of the state that decides something now; the rest may change without a consequence."""
         lands = self._landed == "landing"
-        flies = self._armed, self._landed, lands and self._stays_up, lands and self.level, self.near_home, self.carried
+        flies = self._armed, self._landed, lands and self._stays_up, lands and self.level, self.low, self.carried
         return *flies, self.reports, self.contradiction, self.contested
 
     def copy(self) -> FlightPhase:
