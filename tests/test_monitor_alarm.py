@@ -143,7 +143,7 @@ def test_a_constant_share_of_a_command_that_changes_is_no_update() -> None:
     ]
 
 
-def test_a_size_that_moves_less_than_twice_its_standard_deviation_is_no_update() -> None:
+def test_a_size_that_moves_less_than_three_standard_deviations_is_no_update() -> None:
     times = np.arange(600) * STEP_NS
     manoeuvre = times >= 3_000_000_000
     evidence, sd = np.where(manoeuvre, -0.07, -0.05), np.where(manoeuvre, 0.015, 0.001)

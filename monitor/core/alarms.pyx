@@ -19,8 +19,9 @@ cdef int64_t UPDATE_EVERY_NS = 1_000_000_000
 cdef double UPDATE_SHARE = 0.15
 
 # The move has to be this many standard deviations of the new size, too. In a manoeuvre the size of a constant fault is
-# known ten times worse than before it. Two: 95 % of normal noise moves less.
-cdef double UPDATE_SDS = 2.0
+# known ten times worse than before it. Chosen: sizes change within a second, and of 60 in a minute normal noise moves
+# three by two deviations, one in six minutes by three.
+cdef double UPDATE_SDS = 3.0
 
 # An update also reports a size whose standard deviation is smaller by this factor than that of the size last reported:
 # the first size of a sudden change comes from two samples. Chosen: a halved uncertainty is a difference for a reader.
