@@ -92,9 +92,8 @@ def test_the_failing_motor_alone_is_named_and_cleared_when_it_recovers(
     assert (raised.state, cleared.state) == ("raised", "cleared")
     assert 0.0 < seconds_after(raised, 20.0) < 0.5
     assert 0.0 < seconds_after(cleared, 40.0) < 5.0
-    relative = [event.relative for event in events[1:-1] if event.relative is not None]
-    # the first size is rough, and says so; a second later it is known
-    assert np.median(relative or [raised.relative or 0.0]) == pytest.approx(-lost, abs=0.25 * lost)
+    sizes = np.array([(event.relative or 0.0, (event.sd or 1.0) ** -2) for event in events[:-1]])
+    assert np.average(sizes[:, 0], weights=sizes[:, 1]) == pytest.approx(-lost, abs=0.25 * lost)
 
 
 def test_a_healthy_flight_raises_nothing(profile: Profile) -> None:
