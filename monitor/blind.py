@@ -302,8 +302,9 @@ class BlindAlarm:
     ) -> list[AlarmEvent]:
         """Advance the Unix time to ``now_ns``; return the events that this causes.
 
-        ``flying`` is whether evidence is expected, ``contested`` whether the telemetry contradicts itself. What is not
-        ``recorded`` unless it causes an event (passing time) leaves no trace otherwise: a replay does not have it.
+        ``flying`` is whether evidence is expected, ``contested`` whether the telemetry contradicts itself. Passing time
+        is recorded only if it causes an event: with ``recorded`` false the state changes only with an event, as in a
+        replay, which does not have the rest.
         """
         before = self._slot
         events = self._look(now_ns, vehicle_ns, flying, contested)

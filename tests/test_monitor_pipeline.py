@@ -91,10 +91,15 @@ def test_messages_of_no_interest_change_nothing(
 
 
 @pytest.mark.parametrize(
-    ("name", "field", "value"), [("EXTENDED_SYS_STATE", "landed_state", 4), ("HEARTBEAT", "base_mode", 0)]
+    ("name", "field", "value", "raised"),
+    [
+        ("EXTENDED_SYS_STATE", "landed_state", 4, []),
+        # that it is disarmed and in the air is a contradiction
+        ("HEARTBEAT", "base_mode", 0, [("impostor", "raised")]),
+    ],
 )
-def test_nothing_is_raised_while_landing_or_disarmed(
-    quad_profile: Profile, flight: list[Message], name: str, field: str, value: int
+def test_no_fault_is_raised_while_landing_or_disarmed(
+    quad_profile: Profile, flight: list[Message], name: str, field: str, value: int, raised: list[tuple[str, str]]
 ) -> None:
     first = next(message for message in flight if message.name == name)
     changed = dataclasses.replace(first, fields={**first.fields, field: value})
@@ -106,8 +111,7 @@ def test_nothing_is_raised_while_landing_or_disarmed(
         ),
     ]
     found = outputs(quad_profile, masked)
-    # that it is disarmed and in the air is a contradiction
-    assert {output.observer for output in found if isinstance(output, AlarmEvent)} <= {"link"}
+    assert [(output.channel, output.state) for output in found if isinstance(output, AlarmEvent)] == raised
     assert not any(output.armed.any() for output in found if isinstance(output, Estimates))
 
 
