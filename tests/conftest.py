@@ -13,6 +13,7 @@ import pytest
 from hypothesis import settings
 from loopback import Endpoint, free_port
 
+from adapters.message import Message
 from monitor.profile import Profile, read_profile
 
 DATA = Path(__file__).parent / "data"
@@ -188,3 +189,18 @@ def quad_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def quad_profile(quad_folder: Path) -> Profile:
     """Read the fitted profile back."""
     return read_profile(quad_folder)
+
+
+@pytest.fixture(scope="session")
+def bundled_quad() -> Profile:
+    """Read the quadrotor's profile that fauio brings with it."""
+    return read_profile(Path(__file__).parent.parent / "replay" / "data" / "quad")
+
+
+@pytest.fixture(scope="session")
+def calm_flight() -> list[Message]:
+    """Return the first 24 s of a healthy flight."""
+    from adapters.logs.recordings import read_recording
+
+    messages = list(read_recording(DATA / "copter_healthy_square.tlog.xz"))
+    return [message for message in messages if message.received_ns - messages[0].received_ns < 24_000_000_000]

@@ -4,43 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from test_monitor_impostor import events_of
 
-from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
-from monitor.profile import Profile, read_profile
+from monitor.profile import Profile
 
-QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
-START_S, LENGTH_S = 12.0, 24.0
+START_S = 12.0
 UNITS = {"time_boot_ms": 1e3, "time_usec": 1e6}
 
 
-@pytest.fixture(scope="module")
-def profile() -> Profile:
-    return read_profile(QUAD)
-
-
-@pytest.fixture(scope="module")
-def flight(data: Path) -> list[Message]:
-    """Return seconds of a healthy flight."""
-    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
-    return [m for m in messages if m.received_ns - messages[0].received_ns < LENGTH_S * 1e9]
-
-
-def since_s(flight: list[Message], message: Message | AlarmEvent) -> float:
+def since_s(calm_flight: list[Message], message: Message | AlarmEvent) -> float:
     """Return the time since the attack began."""
     at_ns = message.time_ns if isinstance(message, AlarmEvent) else message.received_ns
-    return (at_ns - flight[0].received_ns) / 1e9 - START_S
+    return (at_ns - calm_flight[0].received_ns) / 1e9 - START_S
 
 
-def altered(flight: list[Message], change: Callable[[Message, float], Message]) -> list[Message]:
+def altered(calm_flight: list[Message], change: Callable[[Message, float], Message]) -> list[Message]:
     """Return messages of which those of the attack were changed, by themselves and their time in it."""
-    return [m if (s := since_s(flight, m)) < 0.0 else change(m, s) for m in flight]
+    return [m if (s := since_s(calm_flight, m)) < 0.0 else change(m, s) for m in calm_flight]
 
 
 def stamped(message: Message, later_s: float) -> Message:
@@ -53,19 +38,19 @@ def received(message: Message, later_s: float) -> Message:
     return replace(message, received_ns=message.received_ns + round(later_s * 1e9))
 
 
-def raised(profile: Profile, messages: list[Message]) -> list[AlarmEvent]:
-    return [event for event in events_of(profile, messages) if event.state == "raised"]
+def raised(bundled_quad: Profile, messages: list[Message]) -> list[AlarmEvent]:
+    return [event for event in events_of(bundled_quad, messages) if event.state == "raised"]
 
 
 @pytest.mark.parametrize("pace", [0.9, 1.05])
 def test_stamps_that_go_on_at_another_pace_are_an_impostors(
-    profile: Profile, flight: list[Message], pace: float
+    bundled_quad: Profile, calm_flight: list[Message], pace: float
 ) -> None:
-    events = raised(profile, altered(flight, lambda m, s: stamped(m, (pace - 1.0) * s)))
+    events = raised(bundled_quad, altered(calm_flight, lambda m, s: stamped(m, (pace - 1.0) * s)))
     impostor = next(event for event in events if event.channel == "impostor")
     assert impostor.severity == "critical"
     assert f"{pace:.2f} times as fast" in impostor.message
-    assert since_s(flight, impostor) < 4.5
+    assert since_s(calm_flight, impostor) < 4.5
 
 
 @pytest.mark.parametrize(
@@ -80,26 +65,28 @@ def test_stamps_that_go_on_at_another_pace_are_an_impostors(
     ids=["link_falls_behind", "simulation_at_half_speed", "link_catches_up", "lower_rate", "clock_set_ahead"],
 )
 def test_links_and_simulations_of_another_pace_are_no_impostors(
-    profile: Profile, flight: list[Message], change: Callable[[Message, float], Message]
+    bundled_quad: Profile, calm_flight: list[Message], change: Callable[[Message, float], Message]
 ) -> None:
-    messages = sorted(altered(flight, change), key=lambda m: m.received_ns)
-    assert [event for event in events_of(profile, messages) if event.channel == "impostor"] == []
+    messages = sorted(altered(calm_flight, change), key=lambda m: m.received_ns)
+    assert [event for event in events_of(bundled_quad, messages) if event.channel == "impostor"] == []
 
 
-def outputs(flight: list[Message], values: Callable[[float], dict[str, int]]) -> list[Message]:
+def outputs(calm_flight: list[Message], values: Callable[[float], dict[str, int]]) -> list[Message]:
     """Return messages in which commands are others, by their time in the attack."""
     return [
-        replace(m, fields={**m.fields, **values(since_s(flight, m))}) if m.name == "SERVO_OUTPUT_RAW" else m
-        for m in flight
+        replace(m, fields={**m.fields, **values(since_s(calm_flight, m))}) if m.name == "SERVO_OUTPUT_RAW" else m
+        for m in calm_flight
     ]
 
 
-def test_outputs_that_stand_still_beside_others_are_an_impostors(profile: Profile, flight: list[Message]) -> None:
+def test_outputs_that_stand_still_beside_others_are_an_impostors(
+    bundled_quad: Profile, calm_flight: list[Message]
+) -> None:
     held = {"servo1_raw": 1590, "servo2_raw": 1580}
-    events = raised(profile, outputs(flight, lambda s: held if s >= 0.0 else {}))
+    events = raised(bundled_quad, outputs(calm_flight, lambda s: held if s >= 0.0 else {}))
     impostor = next(event for event in events if event.channel == "impostor")
     assert "stand still" in impostor.message
-    assert since_s(flight, impostor) < 3.5
+    assert since_s(calm_flight, impostor) < 3.5
 
 
 @pytest.mark.parametrize(
@@ -112,34 +99,36 @@ def test_outputs_that_stand_still_beside_others_are_an_impostors(profile: Profil
     ids=["largest", "limit_of_before", "briefly"],
 )
 def test_outputs_at_a_limit_are_no_impostors(
-    profile: Profile, flight: list[Message], values: Callable[[float], dict[str, int]]
+    bundled_quad: Profile, calm_flight: list[Message], values: Callable[[float], dict[str, int]]
 ) -> None:
-    assert "impostor" not in [event.channel for event in events_of(profile, outputs(flight, values))]
+    assert "impostor" not in [event.channel for event in events_of(bundled_quad, outputs(calm_flight, values))]
 
 
 def test_commands_too_small_for_flight_blind_a_vehicle_that_reports_to_fly(
-    profile: Profile, flight: list[Message]
+    bundled_quad: Profile, calm_flight: list[Message]
 ) -> None:
     stopped = dict.fromkeys(("servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw"), 1000)
-    [blind] = raised(profile, outputs(flight, lambda s: stopped if s >= 0.0 else {}))
+    [blind] = raised(bundled_quad, outputs(calm_flight, lambda s: stopped if s >= 0.0 else {}))
     assert blind.message == "the vehicle flies and is not watched: motors: commands too small for flight for 5 s"
-    assert 5.5 < since_s(flight, blind) < 6.1
+    assert 5.5 < since_s(calm_flight, blind) < 6.1
 
 
 def test_a_vehicle_that_stopped_its_motors_at_the_height_of_its_home_has_landed(
-    profile: Profile, flight: list[Message]
+    bundled_quad: Profile, calm_flight: list[Message]
 ) -> None:
     stopped = dict.fromkeys(("servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw"), 1000)
     heights = [
-        replace(m, name="GLOBAL_POSITION_INT", fields={"relative_alt": 30_000 if since_s(flight, m) < -2.0 else 300})
-        for m in flight
+        replace(
+            m, name="GLOBAL_POSITION_INT", fields={"relative_alt": 30_000 if since_s(calm_flight, m) < -2.0 else 300}
+        )
+        for m in calm_flight
         if m.name == "ATTITUDE"
     ][::20]
-    messages = outputs(flight, lambda s: stopped if s >= 0.0 else {})
-    assert raised(profile, sorted((*messages, *heights), key=lambda m: m.received_ns)) == []
+    messages = outputs(calm_flight, lambda s: stopped if s >= 0.0 else {})
+    assert raised(bundled_quad, sorted((*messages, *heights), key=lambda m: m.received_ns)) == []
 
 
-def landing(flight: list[Message], sinks_mm_s: float | None, command: int | None) -> list[Message]:
+def landing(calm_flight: list[Message], sinks_mm_s: float | None, command: int | None) -> list[Message]:
     """Return messages of a vehicle that reports that it lands, with a sinking altitude (None: no fix) and commands."""
 
     def change(message: Message, s: float) -> Message:
@@ -152,7 +141,7 @@ def landing(flight: list[Message], sinks_mm_s: float | None, command: int | None
             fields |= {f"servo{k}_raw": command + k for k in range(1, 5)}
         return replace(message, fields=fields)
 
-    return altered(flight, change)
+    return altered(calm_flight, change)
 
 
 @pytest.mark.parametrize(
@@ -161,9 +150,9 @@ def landing(flight: list[Message], sinks_mm_s: float | None, command: int | None
     ids=["hovers", "no_gps", "sinks", "on_the_ground"],
 )
 def test_a_landing_vehicle_of_unknown_height_is_watched_while_it_hovers(
-    profile: Profile, flight: list[Message], sinks_mm_s: float | None, command: int | None, watched: bool
+    bundled_quad: Profile, calm_flight: list[Message], sinks_mm_s: float | None, command: int | None, watched: bool
 ) -> None:
-    pipeline = Pipeline(profile)
-    events_of(profile, landing(flight, sinks_mm_s, command), pipeline)
-    why = {name: one.why_not for name, one in pipeline.watching(flight[-1].received_ns).items()}
+    pipeline = Pipeline(bundled_quad)
+    events_of(bundled_quad, landing(calm_flight, sinks_mm_s, command), pipeline)
+    why = {name: one.why_not for name, one in pipeline.watching(calm_flight[-1].received_ns).items()}
     assert why["motors"] == (None if watched else "on_ground")

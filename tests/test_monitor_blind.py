@@ -17,11 +17,9 @@ from adapters.message import Message, silence
 from monitor.blind import LIMIT_NS, EvidenceFlow
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, handover_message
-from monitor.profile import Profile, read_profile
+from monitor.profile import Profile
 from monitor.sampling.transform import LiftRule
 from replay.player import play
-
-QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 
 
 @pytest.fixture(scope="module")
@@ -183,8 +181,10 @@ def test_an_observer_so_slow_that_it_has_no_sample_yet_is_waited_for(rate_hz: fl
 
 
 @pytest.mark.parametrize("seed", [5, 7])
-def test_passing_time_that_causes_no_event_leaves_no_trace(flight: list[Message], seed: int) -> None:
-    profile, rng, start_ns = read_profile(QUAD), random.Random(seed), flight[0].received_ns
+def test_passing_time_that_causes_no_event_leaves_no_trace(
+    bundled_quad: Profile, flight: list[Message], seed: int
+) -> None:
+    profile, rng, start_ns = bundled_quad, random.Random(seed), flight[0].received_ns
     names = "GPS_RAW_INT", "ATTITUDE", "HIGHRES_IMU", "SERVO_OUTPUT_RAW"
     share, period_s = rng.choice([0.5, 0.7, 0.8, 0.9]), rng.choice([0.4, 0.5, 1.0, 1.5])
     kept = [m for m in flight if (s := (m.received_ns - start_ns) / 1e9) < 9.0 or s % period_s >= share * period_s]
@@ -208,7 +208,7 @@ def test_passing_time_that_causes_no_event_leaves_no_trace(flight: list[Message]
 
 @pytest.mark.parametrize(("names", "share", "period_s"), [((), 0.9, 1.0), (("HIGHRES_IMU",), 0.8, 0.5)])
 def test_a_link_that_loses_nearly_all_is_blind_after_five_seconds(
-    flight: list[Message], names: tuple[str, ...], share: float, period_s: float
+    bundled_quad: Profile, flight: list[Message], names: tuple[str, ...], share: float, period_s: float
 ) -> None:
     start_ns = flight[0].received_ns + 15 * 10**9
 
@@ -216,6 +216,6 @@ def test_a_link_that_loses_nearly_all_is_blind_after_five_seconds(
         since_s = (message.received_ns - start_ns) / 1e9
         return (not names or message.name in names) and since_s >= 0.0 and since_s % period_s < share * period_s
 
-    first = blind_of(read_profile(QUAD), [message for message in flight if not lost(message)])[0]
+    first = blind_of(bundled_quad, [message for message in flight if not lost(message)])[0]
     # the first stretch that comes after a loss may still be evidence
     assert 4.5 < (first.time_ns - start_ns) / 1e9 < 6.0

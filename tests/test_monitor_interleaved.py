@@ -6,30 +6,16 @@ import random
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from test_monitor_impostor import events_of
 
-from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from monitor.event import AlarmEvent
-from monitor.profile import Profile, read_profile
+from monitor.profile import Profile
 
-QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 UNITS = {"time_boot_ms": 1e3, "time_usec": 1e6}
 START_S = 10.0
-
-
-@pytest.fixture(scope="module")
-def profile() -> Profile:
-    return read_profile(QUAD)
-
-
-@pytest.fixture(scope="module")
-def flight(data: Path) -> list[Message]:
-    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
-    return [message for message in messages if message.received_ns - messages[0].received_ns < 24_000_000_000]
 
 
 def forged(message: Message, behind_s: float, changes: Mapping[str, float]) -> Message:
@@ -43,7 +29,7 @@ def forged(message: Message, behind_s: float, changes: Mapping[str, float]) -> M
 
 
 def attacked(
-    flight: list[Message],
+    calm_flight: list[Message],
     name: str,
     changes: Mapping[str, float],
     every: int,
@@ -51,18 +37,18 @@ def attacked(
     start_s: float = START_S,
 ) -> list[Message]:
     """Return messages with a forged one behind each ``every``-th of a kind, by a share of its period."""
-    own = [message for message in flight if message.name == name]
+    own = [message for message in calm_flight if message.name == name]
     period_s = (own[-1].received_ns - own[0].received_ns) / 1e9 / len(own)
-    late = [message for message in own if message.received_ns - flight[0].received_ns >= start_s * 1e9][::every]
-    return in_order([*flight, *(forged(message, share * period_s, changes) for message in late)])
+    late = [message for message in own if message.received_ns - calm_flight[0].received_ns >= start_s * 1e9][::every]
+    return in_order([*calm_flight, *(forged(message, share * period_s, changes) for message in late)])
 
 
 def in_order(messages: list[Message]) -> list[Message]:
     return sorted(messages, key=lambda message: message.received_ns)
 
 
-def impostors(profile: Profile, messages: list[Message]) -> list[AlarmEvent]:
-    return [event for event in events_of(profile, messages) if event.channel == "impostor"]
+def impostors(bundled_quad: Profile, messages: list[Message]) -> list[AlarmEvent]:
+    return [event for event in events_of(bundled_quad, messages) if event.channel == "impostor"]
 
 
 @pytest.mark.parametrize(
@@ -76,12 +62,12 @@ def impostors(profile: Profile, messages: list[Message]) -> list[AlarmEvent]:
     ],
 )
 def test_values_of_two_senders_by_turns_are_an_impostor(
-    profile: Profile, flight: list[Message], name: str, changes: Mapping[str, float], every: int, share: float
+    bundled_quad: Profile, calm_flight: list[Message], name: str, changes: Mapping[str, float], every: int, share: float
 ) -> None:
-    first = impostors(profile, attacked(flight, name, changes, every, share))[0]
+    first = impostors(bundled_quad, attacked(calm_flight, name, changes, every, share))[0]
     assert (first.state, first.severity) == ("raised", "critical")
     assert f"{name} came more often than before" in first.message
-    assert first.time_ns - flight[0].received_ns < (START_S + 2.0) * 1e9
+    assert first.time_ns - calm_flight[0].received_ns < (START_S + 2.0) * 1e9
 
 
 @pytest.mark.parametrize(
@@ -93,16 +79,21 @@ def test_values_of_two_senders_by_turns_are_an_impostor(
     ],
 )
 def test_a_forged_value_now_and_then_is_an_impostor(
-    profile: Profile, flight: list[Message], name: str, changes: Mapping[str, float], every: int, limit_s: float
+    bundled_quad: Profile,
+    calm_flight: list[Message],
+    name: str,
+    changes: Mapping[str, float],
+    every: int,
+    limit_s: float,
 ) -> None:
-    first = impostors(profile, attacked(flight, name, changes, every, 0.45))[0]
+    first = impostors(bundled_quad, attacked(calm_flight, name, changes, every, 0.45))[0]
     assert f"{name} came more often than before" in first.message
-    assert first.time_ns - flight[0].received_ns < (START_S + limit_s) * 1e9
+    assert first.time_ns - calm_flight[0].received_ns < (START_S + limit_s) * 1e9
 
 
 @pytest.mark.parametrize("stamped_anew", [True, False])
 def test_a_recorded_stretch_that_is_sent_again_is_an_impostor(
-    profile: Profile, flight: list[Message], stamped_anew: bool
+    bundled_quad: Profile, calm_flight: list[Message], stamped_anew: bool
 ) -> None:
     behind_s = 15.0
 
@@ -111,14 +102,14 @@ def test_a_recorded_stretch_that_is_sent_again_is_an_impostor(
         return later if stamped_anew else replace(message, received_ns=later.received_ns)
 
     def gone_s(message: Message) -> float:
-        return (message.received_ns - flight[0].received_ns) / 1e9
+        return (message.received_ns - calm_flight[0].received_ns) / 1e9
 
-    recorded = [message for message in flight if gone_s(message) < 20.0]
-    first = impostors(profile, [*recorded, *(again(message) for message in recorded if gone_s(message) > 5.0)])[0]
+    recorded = [message for message in calm_flight if gone_s(message) < 20.0]
+    first = impostors(bundled_quad, [*recorded, *(again(message) for message in recorded if gone_s(message) > 5.0)])[0]
     assert first.severity == "critical"
     assert "HIGHRES_IMU" in first.message
     assert "sent again" in first.message
-    assert first.time_ns - flight[0].received_ns < 20.5e9
+    assert first.time_ns - calm_flight[0].received_ns < 20.5e9
 
 
 @pytest.mark.parametrize("share", [0.2, 0.45, 0.5])
@@ -127,39 +118,39 @@ def test_a_recorded_stretch_that_is_sent_again_is_an_impostor(
     [("ATTITUDE", {"roll": 0.2}), ("HIGHRES_IMU", {"xgyro": 0.3}), ("SERVO_OUTPUT_RAW", {"servo1_raw": 150})],
 )
 def test_values_of_two_senders_are_an_impostor_from_the_first_message_on(
-    profile: Profile, flight: list[Message], name: str, changes: Mapping[str, float], share: float
+    bundled_quad: Profile, calm_flight: list[Message], name: str, changes: Mapping[str, float], share: float
 ) -> None:
-    events = events_of(profile, attacked(flight[:8000], name, changes, 1, share, 0.0))
+    events = events_of(bundled_quad, attacked(calm_flight[:8000], name, changes, 1, share, 0.0))
     first = next(event for event in events if event.channel == "impostor")
     assert f"{name} came more often than before" in first.message
-    assert first.time_ns - flight[0].received_ns < 2_000_000_000
+    assert first.time_ns - calm_flight[0].received_ns < 2_000_000_000
     assert not [event for event in events if event.channel.startswith("gyro")]
 
 
 def test_sensors_are_not_accused_beside_the_impostor_but_listed_in_its_alarm(
-    profile: Profile, flight: list[Message]
+    bundled_quad: Profile, calm_flight: list[Message]
 ) -> None:
-    events = events_of(profile, attacked(flight, "HIGHRES_IMU", {"xgyro": 0.3}, 1, 0.45))
+    events = events_of(bundled_quad, attacked(calm_flight, "HIGHRES_IMU", {"xgyro": 0.3}, 1, 0.45))
     assert {event.channel for event in events if event.state == "raised"} == {"impostor"}
     assert any(event.message.endswith("; affected: gyro_x") for event in events if event.channel == "impostor")
 
 
 def test_a_sensor_that_was_accused_before_the_impostor_was_known_is_cleared(
-    profile: Profile, flight: list[Message]
+    bundled_quad: Profile, calm_flight: list[Message]
 ) -> None:
-    events = events_of(profile, attacked(flight, "GPS_RAW_INT", {"vel": 300}, 3, 0.45))
+    events = events_of(bundled_quad, attacked(calm_flight, "GPS_RAW_INT", {"vel": 300}, 3, 0.45))
     (gps,) = (event for event in events if event.channel == "gps_north" and event.state == "cleared")
     assert gps.message == "explained by a second sender"
     told = [event for event in events if event.channel == "impostor"]
     assert "affected: gps_north" in told[1].message
 
 
-def thinned(flight: list[Message], keep: Callable[[int, float], bool]) -> list[Message]:
+def thinned(calm_flight: list[Message], keep: Callable[[int, float], bool]) -> list[Message]:
     seen: Counter[str] = Counter()
     kept = []
-    for message in flight:
+    for message in calm_flight:
         seen[message.name] += 1
-        at_s = (message.received_ns - flight[0].received_ns) / 1e9
+        at_s = (message.received_ns - calm_flight[0].received_ns) / 1e9
         if message.name in ("HEARTBEAT", "EXTENDED_SYS_STATE") or keep(seen[message.name], at_s):
             kept.append(message)
     return kept
@@ -173,30 +164,35 @@ def delayed(messages: list[Message], most_s: float, rng: random.Random | None = 
 
 
 CLEAN: Mapping[str, Callable[[list[Message]], list[Message]]] = {
-    "a rate that grows five times": lambda flight: thinned(flight, lambda k, at: at > 15 or k % 5 == 0),
-    "a rate that changes": lambda flight: thinned(flight, lambda k, at: int(at / 10) % 2 == 1 or k % 2 == 0),
-    "two radios, duplicates": lambda flight: in_order([*flight, *delayed(flight, 0.15)]),
-    "two radios, each its own": lambda flight: in_order(
-        [*thinned(flight, lambda k, _: k % 2 == 0), *delayed(thinned(flight, lambda k, at: k % 2 > 0 and at > 15), 0.1)]
+    "a rate that grows five times": lambda calm_flight: thinned(calm_flight, lambda k, at: at > 15 or k % 5 == 0),
+    "a rate that changes": lambda calm_flight: thinned(calm_flight, lambda k, at: int(at / 10) % 2 == 1 or k % 2 == 0),
+    "two radios, duplicates": lambda calm_flight: in_order([*calm_flight, *delayed(calm_flight, 0.15)]),
+    "two radios, each its own": lambda calm_flight: in_order(
+        [
+            *thinned(calm_flight, lambda k, _: k % 2 == 0),
+            *delayed(thinned(calm_flight, lambda k, at: k % 2 > 0 and at > 15), 0.1),
+        ]
     ),
-    "jitter": lambda flight: in_order(delayed(flight, 0.2, random.Random(1))),
-    "loss": lambda flight: [one for rng in [random.Random(2)] for one in flight if rng.random() > 0.5],
-    "bursts of a second": lambda flight: [
-        one for one in flight if random.Random(one.received_ns // 1_000_000_000).random() > 0.2
+    "jitter": lambda calm_flight: in_order(delayed(calm_flight, 0.2, random.Random(1))),
+    "loss": lambda calm_flight: [one for rng in [random.Random(2)] for one in calm_flight if rng.random() > 0.5],
+    "bursts of a second": lambda calm_flight: [
+        one for one in calm_flight if random.Random(one.received_ns // 1_000_000_000).random() > 0.2
     ],
 }
 
 
 @pytest.mark.parametrize("link", CLEAN)
-def test_links_that_change_lose_or_bring_twice_are_none(profile: Profile, flight: list[Message], link: str) -> None:
-    assert impostors(profile, CLEAN[link](flight)) == []
+def test_links_that_change_lose_or_bring_twice_are_none(
+    bundled_quad: Profile, calm_flight: list[Message], link: str
+) -> None:
+    assert impostors(bundled_quad, CLEAN[link](calm_flight)) == []
 
 
 def test_one_row_that_contradicts_is_counted_once_however_many_come_late_behind_it(
-    profile: Profile, flight: list[Message]
+    bundled_quad: Profile, calm_flight: list[Message]
 ) -> None:
-    own = [message for message in flight if message.name == "HIGHRES_IMU"]
+    own = [message for message in calm_flight if message.name == "HIGHRES_IMU"]
     jolt = forged(own[1500], 0.005, {"xgyro": 0.3})
     late = {id(message): own[1502].received_ns + 1000 * k for k, message in enumerate(own[1486:1498])}
-    held = [replace(one, received_ns=late.get(id(one), one.received_ns)) for one in flight]
-    assert impostors(profile, in_order([*held, jolt])) == []
+    held = [replace(one, received_ns=late.get(id(one), one.received_ns)) for one in calm_flight]
+    assert impostors(bundled_quad, in_order([*held, jolt])) == []
