@@ -162,7 +162,7 @@ _LAST_LINES = """\
 'fauio help COMMAND' shows the options, defaults and an example of a command.
 
 Exit status: 0 done, 1 something wrong found (review), 2 bad input or usage, 3 no feasible design, 4 alarms were
-raised (with --fail-on-alarm), 130 interrupted.
+raised (with --fail-on-alarm), 5 something critical found (review), 130 interrupted.
 """
 _ADVICE = {
     errno.ENOENT: "; does its folder exist?",
@@ -214,7 +214,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Without arguments the overview is printed; ``help COMMAND`` is ``COMMAND --help``. Exit status: 0 done, 1 something
     wrong found (review), 2 bad input or usage, 3 no feasible design, 4 alarms were raised (with ``--fail-on-alarm``),
-    130 interrupted.
+    5 something critical found (review), 130 interrupted.
     """
     given = list(sys.argv[1:] if argv is None else argv)
     if not given or given[0] == "help":

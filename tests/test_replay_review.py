@@ -877,7 +877,7 @@ def test_the_command_says_it_in_words_in_json_and_on_a_page(tmp_path: Path, caps
     bad = str(px4_log(tmp_path / "bad.ulg", LANDED_THERE))
     good = str(px4_log(tmp_path / "good.ulg", Flight()))
     page = tmp_path / "bad.html"
-    assert fauio.main(["review", "--quick", bad, "--report", str(page)]) == 1
+    assert fauio.main(["review", "--quick", bad, "--report", str(page)]) == 5
     assert "[first] 29.9 s, Motors stopped in the air (certain)" in capsys.readouterr().out
     text = page.read_text()
     # what shows the finding, then the flight as a whole
@@ -889,14 +889,14 @@ def test_the_command_says_it_in_words_in_json_and_on_a_page(tmp_path: Path, caps
     assert "default-src 'none'" in text
     assert fauio.main(["review", "--quick", good, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    assert (said["first"], said["wrong"], said["findings"]) == (None, False, [])
-    assert fauio.main(["review", "--quick", bad, good, "--json"]) == 1
+    assert (said["first"], said["severity"], said["wrong"], said["findings"]) == (None, "information", False, [])
+    assert fauio.main(["review", "--quick", bad, good, "--json"]) == 5
     assert len(capsys.readouterr().out.splitlines()) == 2
 
 
 def test_a_page_shows_roll_and_pitch_without_the_scale_of_yaw(tmp_path: Path) -> None:
     log, page = px4_log(tmp_path / "leans.ulg", CASES["attitude_not_followed"]), tmp_path / "leans.html"
-    assert fauio.main(["review", "--quick", str(log), "--report", str(page)]) == 1
+    assert fauio.main(["review", "--quick", str(log), "--report", str(page)]) == 5
     said = page.read_text()
     assert '"roll"' in said
     assert '"yaw"' not in said

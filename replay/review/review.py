@@ -12,7 +12,7 @@ import numpy as np
 from adapters.logs.damage import Damage
 from replay.review.facts.log_facts import SIGNALS, LogFacts, Statement
 from replay.review.facts.reading import read_facts
-from replay.review.findings.rule import STAGES, Judgement, Rule, UnjudgedError
+from replay.review.findings.rule import STAGES, WEIGHTS, Judgement, Rule, UnjudgedError, Weight
 from replay.review.rules import RULES
 
 _SAME_S: Final = 0.5
@@ -73,9 +73,15 @@ class LogReview:
         return said[0].upper() + said[1:]
 
     @property
+    def severity(self) -> Weight:
+        """The highest severity of its findings."""
+        weights = (finding.judgement.weight for finding in self.findings)
+        return max(weights, key=WEIGHTS.index, default="information")
+
+    @property
     def wrong(self) -> bool:
         """Whether there is a finding that is more than information."""
-        return any(finding.judgement.weight != "information" for finding in self.findings)
+        return self.severity != "information"
 
     def reasons(self) -> Iterator[tuple[str, str]]:
         """Yield the findings that could not be judged, joined if they have the same reason, and the reason."""
@@ -102,6 +108,7 @@ class LogReview:
             "flight_s": round(self.facts.flight_s, 3),
             "verdict": self.sentence,
             "wrong": self.wrong,
+            "severity": self.severity,
             "first": None if self.first is None else self.first.rule.name,
             "findings": [_finding_json(finding) for finding in self.findings],
             "watched": list(self.watched),

@@ -13,8 +13,8 @@ from replay.runs.replay_command import LOG_HELP
 if TYPE_CHECKING:
     from replay.review.review import LogReview
 
-WRONG = 1
-"""Exit status if something is wrong with a vehicle, as for linters; 2 is bad input, as for all commands."""
+_STATUS = {"information": 0, "warning": 1, "critical": 5}
+"""Exit status by the severity of what was found: 1 as of linters; 2 to 4 have their meaning for all commands."""
 
 
 def add_review(subparsers: Any) -> None:
@@ -24,7 +24,8 @@ def add_review(subparsers: Any) -> None:
         help="find out what happened in a log, without a profile",
         description="Report what happened in a log: the first step in the chain of decision, commands, motors, "
         "motion and estimator that went wrong, its evidence, evidence against other causes, and what could not be "
-        "judged. Exit status: 0 nothing wrong found, 1 something was found, 2 bad input.",
+        "judged. Exit status: 0 nothing wrong found, 1 a warning is the worst finding, 2 bad input, 5 a finding is "
+        "critical; of several logs that of the worst.",
         epilog="example: fauio review --quick healthy.tlog --report healthy.html",
     )
     option(parser, "logs LOG", LOG_HELP, Path, nargs="+")
@@ -46,7 +47,7 @@ def run_review(args: argparse.Namespace) -> int:
     pages = [target("--report", args.report, log, ".html", many=many) for log in logs]
     wanted = [page for page in pages if page is not None]
     check_outputs(logs, wanted, f"--report {args.report}: names the same file for several logs; put {{log}} into it")
-    wrong = failed = False
+    failed, status = False, 0
     for log, report in zip(logs, pages, strict=True):
         try:
             review = review_log(log.path, learn=not args.quick)
@@ -65,8 +66,8 @@ def run_review(args: argparse.Namespace) -> int:
             from replay.review.review_page import review_page
 
             write_file(report, review_page(review))
-        wrong |= review.wrong
-    return 2 if failed else WRONG if wrong else 0
+        status = max(status, _STATUS[review.severity])
+    return 2 if failed else status
 
 
 _MOST_STATED = 40

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 
 from monitor.alarms.command_watch import FLOOD, CommandSent, CommandWatch, ends_flight
 from replay.review.facts.log_facts import BEGIN_S, LogFacts
-from replay.review.findings.rule import Judgement, Rule, Weight
+from replay.review.findings.rule import WEIGHTS, Judgement, Rule
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
@@ -44,7 +43,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
                 span=(before.start_s, command.time_s),
                 text=said.text,
                 evidence=before.evidence if said.text == before.text else (*before.evidence, _evidence(command)),
-                weight=max(before.weight, weight, key=get_args(Weight).index),
+                weight=max(before.weight, weight, key=WEIGHTS.index),
             )
     if not watch.known and facts.flight and facts.flight[0][0] < BEGIN_S:
         # it may be the operator, who commanded before the log begins

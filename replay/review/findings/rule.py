@@ -12,6 +12,9 @@ STAGES: Final[tuple[Stage, ...]] = get_args(Stage)
 the autopilot's reaction."""
 
 Weight = Literal["information", "warning", "critical"]
+WEIGHTS: Final[tuple[Weight, ...]] = get_args(Weight)
+"""Severities, rising; information alone is no finding."""
+
 Confidence = Literal["certain", "likely", "possible"]
 
 
@@ -25,7 +28,7 @@ class Judgement:
     # other causes that are excluded in this log, in addition to those that the rule excludes in all logs
     counter: tuple[str, ...] = ()
     confidence: Confidence = "likely"  # how much of the evidence is direct
-    weight: Weight = "warning"  # information alone is no finding
+    weight: Weight = "warning"
     plots: tuple[str, ...] = ()  # names of signals that show it, before those that the rule names
     # whether it begins at its time; a condition of the whole flight is first only if there is no other finding
     event: bool = True
