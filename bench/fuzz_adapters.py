@@ -19,7 +19,7 @@ from pymavlink.generator.mavcrc import x25crc
 from adapters.batch import messages
 from adapters.channels import parse_channel
 from adapters.encoding.cdr import CdrDecoder
-from adapters.encoding.message_definition import SHIPPED, find_definition, parse_definitions
+from adapters.encoding.message_definition import SHIPPED, find_definition
 from adapters.encoding.message_record import decoder, encode
 from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 from adapters.logs.tlog import TlogReader
@@ -261,8 +261,6 @@ def _cdr_seeds() -> list[bytes]:
 def _definition(folder: Path) -> Run:
     def run(data: bytes) -> None:
         text, _, payload = data.partition(b"\0")
-        with only(TelemetryError):
-            parse_definitions("x_msgs/Mixed", text.decode(errors="replace"))
         with only(TelemetryError, PayloadError):
             CdrDecoder("x_msgs/Mixed", text.decode(errors="replace")).decode(b"\0\1\0\0" + payload)
 

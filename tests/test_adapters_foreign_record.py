@@ -81,7 +81,7 @@ def test_a_type_that_the_file_does_not_define_is_read_by_what_is_shipped(encodin
     [
         ("cdr", Schema("x_msgs/msg/Odd", "ros2idl", b"module"), "x_msgs/Odd: schema in 'ros2idl', and none"),
         ("cdr", Schema("x_msgs/msg/Odd", "ros2msg", b""), "x_msgs/Odd: no definition in the file"),
-        ("cdr", Schema("x_msgs/msg/Odd", "ros2msg", b"wstring a"), "wstring"),
+        ("cdr", Schema("x_msgs/msg/Odd", "ros2msg", b"what?"), "definition of x_msgs/Odd"),
         ("cdr", None, "cdr without a schema"),
         ("protobuf", Schema("a.B", "protobuf", b"\xff"), "schema of a.B cannot be used"),
         ("ros1", Schema("std_msgs/Header", "ros1msg", b""), "encoding 'ros1' is not known"),

@@ -99,7 +99,7 @@ def test_odd_json_is_read_as_it_stands_and_of_two_values_the_last_one() -> None:
 
 
 def test_cdr_that_is_cut_off_is_malformed() -> None:
-    with pytest.raises(PayloadError, match="std_msgs/Float64MultiArray: 'data' claims 2 elements"):
+    with pytest.raises(PayloadError, match="std_msgs/Float64MultiArray: cut off"):
         PayloadDecoder({"a": KIND}).decode("a", "zenoh/bytes", ARRAY[:-1])
 
 
