@@ -388,30 +388,29 @@ INTRODUCTION = """# The source paper, recomputed
 
 makes this page. The example is the paper's single-link flexible-joint arm (built-in models `arm` and `arm-disturbed`).
 
-## Printed numbers that cannot be
+## Printed numbers that cannot be right
 
 - **sqrt(mu) = 0.0324 of Theorem 2.** At rest, (w_1, f_a, f_s, x_1) = (d, -0.115 d, 0.051 d, -0.051 d) gives the same
-  outputs as no disturbance at all, so no observer whatever can be below 0.136. The printed gains have a norm of 0.1878;
-  the square root of 0.0324 is 0.18, so the table seems to print mu. With the paper's own eps = 0.0112 and delta = 5 the
-  least mu of the corrected inequality is 0.636 squared.
-- **sqrt(mu) = 2.5399e-4 of Theorem 1.** There is no disturbance but f_a', and the optimum is 0 by scaling: the number
-  is where a solver stopped.
+  outputs as no disturbance at all, so no observer can be below 0.136. The printed gains have a norm of 0.1878. The
+  square root of 0.0324 is 0.18, so the table seems to print mu. With the paper's own eps = 0.0112 and delta = 5 the
+  least sqrt(mu) of the corrected inequality is 0.636.
+- **sqrt(mu) = 2.5399e-4 of Theorem 1.** The only disturbance is f_a', and scaling brings the optimum to 0: the number
+  shows where a solver stopped.
 - **Settling in 0.11 to 0.15 milliseconds.** That is five time constants of one error pole at -33 280 rad/s. The other
   poles are at -170, -12.2, -0.998 (twice) and -0.38, and a pole near -1 is forced by the law fa^' = beta L2 (yt + yt').
   Forward Euler is unstable above a step of 60 microseconds; here these gains run by exact discretisation.
 - The baselines' 1.736 and 1.76 contradict nothing, but the reconstructions reach far better bounds.
-- **f_s of cases 2 and 3, 0.0295 and 0.0120.** f_s is seen in the very sample that shows it and no gain has anything
-  to do with it: the printed gains give 0.0078 in all three cases, whatever f_s does, as they do in the paper's case 1.
-  What the paper prints beyond is as much as both jumps of f_s, misplaced by 5 ms in case 2 and by 2 ms in case 3, would
-  make: 2 sqrt(2 h / 50) with h = 0.005 is 0.028. It seems to be of the plot's or the solver's steps, not of the
-  observer.
+- **f_s of cases 2 and 3, 0.0295 and 0.0120.** The estimate of f_s jumps in the same sample as f_s, with any gains: the
+  printed gains give 0.0078 in all three cases, as in the paper's case 1. The excess is what both jumps of f_s would
+  cause if they were misplaced by 5 ms in case 2 and by 2 ms in case 3: 2 sqrt(2 h / 50) with h = 0.005 is 0.028. It
+  seems to come from the steps of the plot or the solver, not from the observer.
 
-The texts of the baselines could not be had: "reconstruction" marks forms rebuilt from the structure that the paper
+The texts of the baselines were not available: "reconstruction" marks forms rebuilt from the structure that the paper
 attributes to them and from the general literature. They are not their authors' designs.
 
 ## The algorithm
 
-The paper's chart, with what is done here in its place:
+The paper's chart beside ours:
 
 ```text
  model: A, C, E_f, D_f, E_1, D_1, G, H, slopes         paper                       here
@@ -429,7 +428,7 @@ The paper's chart, with what is done here in its place:
                      |                                 L2 = P2^-1 R2^T             K = Kb - L1 E_f L_p
  N = L1 A_z - K Cb, J = N F + K                        the same                    the same
                      |
- is it so?                                             -                           certificate from the gains alone
+ is it proven?                                        -                           certificate from the gains alone
                      |
  the observer runs                                     continuous                  sampled exactly
 ```
@@ -439,8 +438,8 @@ The paper's chart, with what is done here in its place:
 Unit scales, fault rate 1 per second. "Certified" is what the inequality proves, "norm" the H-infinity norm of those
 very gains on a refined frequency grid at the worst slope in [-1, 1], "holds" says whether the norm stays within the
 bound, "floor" is what no observer can beat (0.13628: hidden disturbances at frequency 0). A norm against w and w'
-taken apart depends on the coordinates of the error: the printed inequalities and the baselines keep fa~ as a state,
-the convex design f_a - q; each row has its own. In discrete time the disturbance is [w; w+], at low frequency
+as separate signals depends on the coordinates of the error: the printed inequalities and the baselines have fa~ as a
+state, the convex design f_a - q; each row uses its own. In discrete time the disturbance is [w; w+], at low frequency
 sqrt(2) times as large as w, hence the smaller floor. Chen and Zhang bound no norm; theirs is only computed.
 
 | design | sqrt(mu), as printed | certified | norm | holds | floor |
@@ -463,17 +462,17 @@ knows before its first sample; the paper prints none.
 
 BETWEEN = """## Errors of the estimates
 
-Root mean square over 50 s with w_1 = 0.2 sin 10 t and w_2 = 0.1 sin 10 t, u = 0, x(0) = 0. An estimate cannot know
-a jump of f_a before the first sample after it: "one sample later" compares it with the truth one sample before, "as
-it comes" does not. f_s is seen in the same sample and needs no alignment. All designs are given a fault rate of 20
-per second where they take one (200 where the name says so), the printed gains are what they are. 0.00707 is the
-size of the noise in the channel of f_s; it is no lower bound for an observer that smooths f_s or sees the same
-noise in the encoder's rate. The rate 200 was tried on these very cases: with it, at 100 Hz, a Kalman filter is as
-good as anything here or better in f_a; it needs a rate for f_s too and bounds nothing.
+**At 1 kHz the printed gains beat ours** in f_a as it comes: their pole at -33 280 rad/s follows a jump within one
+sample, whatever noise comes with it. Ours follow what the stated rate allows, 0.02 or 0.2 in a sample, and spread a
+jump of 2 over several; designed for a rate of 2000 they have 0.0064 0.0127 0.0068. **At 100 Hz a Kalman filter**
+with a fault rate of 200, which was tried on these very cases, is as good in f_a as anything here, or better; it needs
+a rate for f_s too and bounds nothing.
 
-At 1 kHz, in f_a as it comes, the printed gains beat ours: their pole at -33 280 rad/s takes up a jump within one
-sample, whatever noise comes with it, while ours follow what the stated rate allows, 0.02 or 0.2 in a sample, and spread
-a jump of 2 over several; told a rate of 2000 they have 0.0064 0.0127 0.0068."""
+Root mean square over 50 s with w_1 = 0.2 sin 10 t and w_2 = 0.1 sin 10 t, u = 0, x(0) = 0. An estimate cannot know a
+jump of f_a before the first sample after it: "one sample later" compares it with the truth one sample before, "as it
+comes" does not. f_s is seen in the same sample and needs no alignment. Designs that take a fault rate get 20 per
+second (200 where the name says so). 0.00707 is the size of the noise in the channel of f_s; it is no lower bound for
+an observer that smooths f_s or sees the same noise in the encoder's rate."""
 
 FIGURES = """## Figures
 
