@@ -69,6 +69,9 @@ _NUMBERED_NS = 10_000_000_000
 """How long a contradiction is reported after the last finding. Chosen: as long as clocks are contested
 (``core/sampling.pyx``)."""
 
+_MOVED_NS = 4 * SECOND_NS
+"""How long a vehicle that reports not to fly any more has to move on. A car brakes from 35 m/s in that time; PX4's
+planes report a landing when they are slow, ArduPilot's when they have stopped."""
 _LEVEL_NS = 5 * SECOND_NS
 """Time over which a landing vehicle's command is that of hovering. Of a copter that bounced on the ground with running
 motors it was 0.82 of that over 5 s (0.9 and more count), 0.87 over 2 s."""
@@ -143,7 +146,8 @@ class Pipeline:
         self._component = component
         self._interests = self.interests
         self._down_ns: int | None = None  # time since which the vehicle reports that its flight is over
-        self._driven_ns: int | None = None  # when to compare the commands with the report that it does not fly
+        self._grounded_ns = 0  # when it began to report that it does not fly
+        self._driven_ns: int | None = None  # when to compare the commands, or the speed, with that report
         self._level_ns: int | None = None  # when to compare them with the report that it lands
         # names of the messages whose values show two senders, and the sentence that says so
         self._forged: Mapping[str, str] = {}
@@ -337,6 +341,8 @@ class Pipeline:
         was_grounded = self._phase.grounded
         if self._phase.armed and self._flies():
             self._flown_ns = now_ns
+            if self._phase.landed is None:
+                self._phase.fly()
         self._phase.feed(message)
         self._compare_commands(was_grounded, now_ns)
         self._follow_landing(now_ns)
@@ -430,38 +436,42 @@ class Pipeline:
             self._blind.wait_from(idle_ns)
 
     def _compare_commands(self, was_grounded: bool, now_ns: int) -> None:
-        """Follow whether the motors run as in flight although the vehicle reports that it does not fly any more.
+        """Follow whether the vehicle goes on as in flight although it reports that it does not fly any more.
 
-        This is checked a second after the report, when the motors of a landed vehicle have stopped, and every second
-        from then on.
+        Its motors are checked a second after the report, when those of a landed vehicle have stopped, and every second
+        from then on; without commands its speed.
         """
         phase, gates = self._phase, self._gates
         # On another vehicle the same outputs may move surfaces.
         if not phase.grounded or self.mismatch is not None:
             phase.driven, self._driven_ns = False, None
             return
-        if self._driven_ns is None and was_grounded:
-            return
-        if self._driven_ns is not None:
+        if self._driven_ns is None:
+            if was_grounded or allows(self.profile.gate, phase):
+                return
+            self._grounded_ns = now_ns
+        else:
             if 0 < self._driven_ns - now_ns <= SECOND_NS:
                 return
-            driven = [gate.driven for gate in gates]
+            by_command = [gate.driven for gate in gates if gate.commands]
+            driven = by_command or [phase.moves(self._grounded_ns, now_ns)]
             if False in driven and True not in driven:
                 phase.driven, self._driven_ns = False, None
                 return
-            phase.driven |= True in driven
+            phase.driven |= True in driven and (bool(by_command) or now_ns - self._grounded_ns >= _MOVED_NS)
         if self._driven_ns is None or phase.driven:
             for gate in gates:
                 gate.watch_commands()
         self._driven_ns = now_ns + SECOND_NS
 
     def _follow_landing(self, now_ns: int) -> None:
-        """Follow whether the motors of a landing vehicle that does not sink run as in hover, by their mean command."""
+        """Follow whether a landing vehicle that does not sink hovers by its mean command, or without one moves on."""
         if not self._phase.level:
             self._level_ns = None
         elif self._level_ns is None or not 0 < self._level_ns - now_ns <= _LEVEL_NS:
             if self._level_ns is not None:
-                self._phase.hovers = any(gate.hovers for gate in self._gates)
+                by_command = [gate.hovers for gate in self._gates if gate.commands]
+                self._phase.hovers = any(by_command or [self._phase.moves(now_ns - _LEVEL_NS, now_ns)])
             for gate in self._gates:
                 gate.watch_commands()
             self._level_ns = now_ns + _LEVEL_NS
@@ -485,7 +495,9 @@ class Pipeline:
         """Return the contradictions that one sender cannot cause, a sentence each."""
         found = [CONTESTED[name] for name in self._phase.contested]
         if self._phase.driven:
-            found.append("it reports that it does not fly while its motors run as in flight")
+            by_command = any(gate.commands for gate in self._gates)
+            how = "its motors run as in flight" if by_command else "it moves on"
+            found.append(f"it reports that it does not fly while {how}")
         if now_ns < self._clock.contested_ns:
             apart_s = abs(self._clock.rival_ns) / 1e9
             found.append(f"its messages were stamped by two clocks, {apart_s:.1f} s apart")

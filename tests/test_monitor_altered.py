@@ -128,6 +128,49 @@ def test_a_vehicle_that_stopped_its_motors_at_the_height_of_its_home_has_landed(
     assert raised(bundled_quad, sorted((*messages, *heights), key=lambda m: m.received_ns)) == []
 
 
+def braked(s: float) -> float:
+    return max(0.0, 1500 - 500 * max(0.0, s))
+
+
+@pytest.mark.parametrize(
+    ("name", "speed_cm_s", "mode", "told"),
+    [
+        ("HEARTBEAT", lambda s: 1500, 209, True),
+        ("EXTENDED_SYS_STATE", lambda s: 1500, 209, True),
+        ("HEARTBEAT", braked, 209, False),
+        ("EXTENDED_SYS_STATE", braked, 209, False),
+        ("HEARTBEAT", lambda s: 1500, 81, False),
+    ],
+    ids=["disarmed", "on_the_ground", "disarmed_and_brakes", "on_the_ground_and_brakes", "carried"],
+)
+def test_a_vehicle_without_motor_commands_that_moves_on_has_not_landed(
+    bundled_quad: Profile,
+    calm_flight: list[Message],
+    name: str,
+    speed_cm_s: Callable[[float], float],
+    mode: int,
+    told: bool,
+) -> None:
+    false = {"HEARTBEAT": {"base_mode": 81}, "EXTENDED_SYS_STATE": {"landed_state": 1}}
+
+    def change(message: Message) -> Message:
+        fields, s = dict(message.fields), since_s(calm_flight, message)
+        if message.name == "HEARTBEAT":
+            fields["base_mode"] = mode
+        if message.name == name and s >= 0.0:
+            fields |= false[name]
+        if message.name == "GPS_RAW_INT":
+            fields["vel"] = round(speed_cm_s(s))
+        return replace(message, fields=fields)
+
+    lone = [m for m in calm_flight if m.name == name or m.name != "EXTENDED_SYS_STATE"]
+    pipeline = Pipeline(replace(bundled_quad, gate=replace(bundled_quad.gate, airborne_command=0.0)))
+    events = events_of(bundled_quad, [*map(change, lone)], pipeline)
+    found = [since_s(calm_flight, e) for e in events if e.channel == "impostor" and "it moves on" in e.message]
+    assert bool(found) == told
+    assert all(4.0 <= s < 5.5 for s in found[:1])
+
+
 def landing(calm_flight: list[Message], sinks_mm_s: float | None, command: int | None) -> list[Message]:
     """Return messages of a vehicle that reports that it lands, with a sinking altitude (None: no fix) and commands."""
 

@@ -198,12 +198,13 @@ def test_packets_with_numbers_of_their_own_are_an_impostor(quad_profile: Profile
         assert cleared.time_ns - (start_ns + 4_800_000_000) < 12_000_000_000
 
 
+@pytest.mark.parametrize("before", [True, False], ids=["after_others", "as_the_first"])
 @pytest.mark.parametrize("forge", [disarmed, on_ground])
 def test_one_report_that_it_does_not_fly_is_contradicted_by_motors_that_run(
-    quad_profile: Profile, weak: Weak, forge: Forge
+    quad_profile: Profile, weak: Weak, forge: Forge, before: bool
 ) -> None:
     forged = forge([], weak.raised_ns - 3_000_000_000)
-    attacked = [m for m in weak.messages if m.name != forged.name or m.received_ns < forged.received_ns]
+    attacked = [m for m in weak.messages if m.name != forged.name or (before and m.received_ns < forged.received_ns)]
     at = next(k for k, message in enumerate(attacked) if message.received_ns >= forged.received_ns)
     events = events_of(quad_profile, [*attacked[:at], forged, *attacked[at:]])
     impostor = next(event for event in events if event.channel == "impostor")

@@ -74,14 +74,14 @@ def read_gate(table: Table, default: GateRule) -> GateRule:
 class FlightGate:
     """Says which samples are evidence; keeps since when the rules hold.
 
-    ``by_command`` says whether the mean command ever had to tell that the vehicle flies. Without ``commands`` the
-    inputs are none, so their mean does not tell it. ``carried`` says whether what is watched carried the vehicle alone
+    ``by_command`` says whether the mean command ever had to tell that the vehicle flies. Without ``commands`` of
+    flight the inputs do not tell it. ``carried`` says whether what is watched carried the vehicle alone
     in the latest samples.
     """
 
     def __init__(self, rule: GateRule, commands: bool = True, lift: LiftRule | None = None) -> None:
         # commands of flight are known of multirotors alone
-        self._rule, self._commands = rule, commands and rule.airborne_command > 0.0
+        self._rule, self.commands = rule, commands and rule.airborne_command > 0.0
         self._settling = Settling(rule.settle_s)
         self._driven: int | None = None
         self._command, self._commanded = 0.0, 0  # sum of the mean commands since they are looked at, and how many
@@ -123,7 +123,7 @@ class FlightGate:
 
     def admitted(self, phase: FlightPhase, samples: Samples) -> NDArray[np.bool_]:
         """Return which samples count as evidence (n,), the flight phase being the same for all of them."""
-        rule, commands = self._rule, self._commands
+        rule, commands = self._rule, self.commands
         by_command = rule.require_airborne and phase.landed is None and commands
         self.by_command |= by_command
         if self._driven is not None and commands:

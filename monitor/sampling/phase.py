@@ -15,7 +15,7 @@ another vehicle, and a vehicle in the air does not take off: whoever reports tha
 A landing vehicle counts as in the air until it is near the ground, by its reported height above home: a descent takes
 as long as many a flight. A vehicle that does not report whether it flies is near the ground by that height, too. Where
 no height comes, a landing vehicle sinks, by the altitude of its GPS: while it does not, or the GPS was lost, and its
-motors run as in hover, it counts as in the air.
+motors run as in hover (without motors: it moves on), it counts as in the air.
 
 Nobody else writes into a vehicle's own log, and it holds a report for each change: its reports are never contested.
 """
@@ -76,6 +76,10 @@ _SINKS_MM = 1000
 """By how much a landing vehicle sinks within ``_SINKS_NS``, millimetres: autopilots land with 0.3 m/s and more, 1.5 m
 in that time."""
 _SINKS_NS = 5_000_000_000
+_MOVES_CM_S = 500
+"""Ground speed from which on a vehicle moves, centimetres per second: PX4's planes count as landed below it
+(LNDFW_VEL_XY_MAX)."""
+_UNKNOWN = 65535  # MAVLink's speed of a receiver that does not know it
 _MOST_REPORTS = 64
 """Most reports that are remembered. Chosen: at 6 Hz more than the time over which changes are counted; a flood needs no
 more memory."""
@@ -144,10 +148,10 @@ class FlightPhase:
     Samples of another vehicle than the one that the profile was ``fitted`` to are no evidence. ``reports`` is what the
     vehicle has told about itself; ``contradiction`` the sentence that shows that it is another one, None if nothing
     does; ``contested`` names the messages that two senders answer by turns. ``driven`` is set while the vehicle counts
-    as flying although it reports that it does not, because its commands are those of flight; ``hovers`` while those of
-    a landing vehicle are the ones of hover, or not known yet; ``logged`` if the reports
-    are those of its own log. ``carried`` is what carries a vehicle with rotors and wings by its own report, None
-    without one. ``interests`` names the messages that are read.
+    as flying although it reports that it does not, because its commands are those of flight or it moves on; ``hovers``
+    while those of a landing vehicle are the ones of hover (without commands: while it moves on), or not known yet;
+    ``logged`` if the reports are those of its own log. ``carried`` is what carries a vehicle with rotors and wings by
+    its own report, None without one. ``interests`` names the messages that are read.
     """
 
     interests: ClassVar[frozenset[str]] = Reports.interests | {
@@ -181,6 +185,7 @@ class FlightPhase:
         self._sank_ns, self._highest_mm, self._sinks = -LATEST_NS, -inf, False
         # when it was reported to be at about the height of its home, by all reports of the last second; None otherwise
         self._low_ns: int | None = None
+        self._moves_ns: int | None = None  # since when all fixes have shown that it moves; None if it does not
         self._away_ns: int | None = None  # when it was last reported to be at another height
 
     @property
@@ -222,8 +227,8 @@ class FlightPhase:
 
     @property
     def grounded(self) -> bool:
-        """Whether it reports that it does not fly any more, after a flight."""
-        return (self._armed is False and self._has_been[0]) or (self._landed == "ground" and self._has_been[1])
+        """Whether it reports to be disarmed, or on the ground after a flight."""
+        return self._armed is False or (self._landed == "ground" and self._has_been[1])
 
     @property
     def state(self) -> tuple[object, ...]:
@@ -231,6 +236,19 @@ class FlightPhase:
         lands = self._landed == "landing"
         flies = self._armed, self._landed, lands and self._stays_up, lands and self.level, self.low, self.carried
         return *flies, self.reports, self.contradiction, self.contested
+
+    def moves(self, since_ns: int, now_ns: int) -> bool:
+        """Return whether it moved at a Unix time and has moved on until now, by all fixes of its GPS.
+
+        Before it was armed it may be carried.
+        """
+        moved_ns, fix_ns = self._moves_ns, self._fix_ns
+        has_moved = any(self._has_been) and moved_ns is not None and moved_ns <= since_ns
+        return has_moved and fix_ns is not None and 0 <= now_ns - fix_ns < _RECENT_NS
+
+    def fly(self) -> None:
+        """Follow that it flies, although it does not report whether it does."""
+        self._has_been = self._has_been[0], True
 
     def copy(self) -> FlightPhase:
         """Return a phase of its own with the same state."""
@@ -256,7 +274,7 @@ class FlightPhase:
             self._low_ns = now_ns if abs(above_mm) <= _HIGH_MM and not was_away else None
             return
         if message.name == "GPS_RAW_INT":
-            self._follow_altitude(message)
+            self._follow_position(message)
             return
         is_heartbeat = is_autopilot_heartbeat(message)
         if is_heartbeat:
@@ -271,7 +289,7 @@ class FlightPhase:
         if message.name == "EXTENDED_SYS_STATE":
             state, on = message.fields.get("landed_state"), message.fields.get("vtol_state")
             landed = _LANDED.get(state) if isinstance(state, int) else None
-            self.hovers |= (self._landed, landed) == ("air", "landing")
+            self.hovers |= self._landed in (None, "air") and landed == "landing"
             self._landed = "air" if (self._landed, landed) == ("air", "takeoff") else landed
             self.carried = _CARRIED.get(on) if isinstance(on, int) else None
             if not self.logged:
@@ -300,10 +318,14 @@ class FlightPhase:
         other, other_ns = self._other
         self.contested = tuple(sorted(contested | {other} if 0 <= now_ns - other_ns < _WINDOW_NS else contested))
 
-    def _follow_altitude(self, message: Message) -> None:
-        """Follow by the GPS's altitude whether the vehicle sinks."""
-        now_ns, altitude = message.received_ns, message.fields.get("alt")
+    def _follow_position(self, message: Message) -> None:
+        """Follow by the GPS whether the vehicle moves, and by its altitude whether it sinks."""
+        now_ns, altitude, speed = message.received_ns, message.fields.get("alt"), message.fields.get("vel")
         has_fix = message.source is MAVLINK and message.fields.get("fix_type") not in (0, 1, 2)
+        if not has_fix or not isinstance(speed, int | float) or not _MOVES_CM_S <= speed < _UNKNOWN:
+            self._moves_ns = None
+        elif self._moves_ns is None or now_ns < self._moves_ns:
+            self._moves_ns = now_ns
         if not has_fix or not isinstance(altitude, int | float):
             return
         if altitude <= self._highest_mm - _SINKS_MM:
