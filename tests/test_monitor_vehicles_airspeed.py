@@ -214,10 +214,30 @@ def test_a_plane_without_a_sensor_or_gps_has_no_such_observer() -> None:
 
     assert says(0x0000_0010 | 0x1) and says(None)
     assert not says(0x1)
-    assert fit_airspeed(request(list(packed(told(flown(60.0), present=0x1)))), GATE) is None
+    with pytest.raises(ModelError, match="has no airspeed sensor"):
+        fit_airspeed(request(list(packed(told(flown(60.0), present=0x1)))), GATE)
     without = [message for message in told(flown(60.0)) if message.name != "GPS_RAW_INT"]
     hears = [Message(MAVLINK, "HIGHRES_IMU", m.received_ns, imu(k), 1, 1) for k, m in enumerate(without)]
-    assert fit_airspeed(request(list(packed([*without, *hears]))), GATE) is None
+    with pytest.raises(ModelError, match="record GPS_RAW_INT"):
+        fit_airspeed(request(list(packed([*without, *hears]))), GATE)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "has"), [({}, True), ({"SYS_HAS_NUM_ASPD": 0.0}, False), ({"FW_ARSP_MODE": 1.0}, False)]
+)
+def test_onboard_logs_tell_of_the_sensor_by_parameters(parameters: dict[str, float], has: bool) -> None:
+    battery = {"SYS_STATUS": {"onboard_control_sensors_present": 0}}  # made from the battery's records
+    assert has_airspeed_sensor(Survey({}, {}, {}, battery, parameters=parameters, onboard=True)) is has
+
+
+@pytest.mark.parametrize("deviation", [0.9, 7.0])
+def test_gusts_widen_the_alarm_and_do_not_end_the_watch(deviation: float) -> None:
+    samples = flown(300.0)
+    rough = np.random.default_rng(2).normal(0.0, deviation, len(samples.u) + 9)
+    samples.u[:, 0] += np.convolve(rough, np.ones(10) / 10.0, "valid")
+    found = fit_airspeed(request(list(packed(told(samples)))), GATE)
+    assert found.flight_s > 100.0
+    assert found.alarms[0].rule.threshold > 3.0 * 0.3 * deviation
 
 
 def test_flights_that_climb_and_dive_all_the_time_tell_nothing() -> None:

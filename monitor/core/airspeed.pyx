@@ -53,8 +53,8 @@ cdef double _CHANGE_S = 0.3
 # fitted flights. A difference beyond that is no gust.
 cdef double _ROUGH_S = 10.0
 cdef double _ROUGHEST = 3.0
-# The wind along the flight is known up to this standard deviation, m/s: half of the smallest difference that raises an
-# alarm at 20 m/s.
+# The wind along the flight is known up to this standard deviation, m/s, or up to the level if that is more: half of the
+# smallest difference that raises an alarm at 20 m/s.
 cdef double _KNOWN = 1.0
 # How long the difference has to stay below half its level until a first estimate of the wind is used, and the longest
 # wait for that, seconds. Chosen: in its first turn an unknown wind was off by 7 m/s for 9 s; with a covered pitot tube
@@ -190,7 +190,7 @@ cdef class AirspeedCore:
         variance = self.variance(H)
         if not self._flies or self._speed < self._minimum or fabs(now[3]) > _STEEPEST * self._speed:
             return False
-        if not self._free and variance > _KNOWN * _KNOWN:
+        if not self._free and variance > fmax(_KNOWN, self._level) ** 2:
             self._agreed_s = self._waited_s = 0.0
             return False
         self._mean += fmin(1.0, self._dt / _MEAN_S) * (off[0] - self._mean)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.channels import COURSE, SPEED, Channel
-from adapters.errors import TelemetryError
+from adapters.errors import ModelError, TelemetryError
 from adapters.sample import Given, Samples
 from monitor.alarms.excuse import ExcuseRule
 from monitor.core.airspeed import EXPONENT, LAPSE, AirspeedCore
@@ -45,9 +45,9 @@ _SMALLEST, _CRITICAL = 0.1, 0.3
 """Errors that are worth an alarm, and critical, as shares of the usual speed. Chosen: a tenth makes the dynamic
 pressure, and with it the expected effect of every surface, a fifth larger; planes are flown at 1.3 times their stall
 speed and more, so an airspeed that reads 30 % too high stalls one."""
-_LEVEL = 0.5
-"""Share of the smallest alarm from which the sensor's error is estimated freely: before its alarm, and above what gusts
-leave in a second."""
+_LEVEL, _GUSTS = 0.5, 1.5
+"""Share of the smallest alarm, and multiple of the noise that gusts make, from which the sensor's error is estimated
+freely: before its alarm, which begins at three deviations of gusts or more, and above what gusts leave in a second."""
 _TIMES = Times(fast_s=0.2, raise_s=0.7, slow_s=3.0, clear_s=1.5)
 """Times of the alarm. Chosen: gusts last for a second, and no gust changes the airspeed by twice the smallest alarm."""
 _STANDARD, _SCALES = 1.0, 0.1
@@ -94,20 +94,20 @@ class AirspeedInputs:
         return Given(replace(samples, u=u, y=y, lost=np.column_stack([lost, lost])), beyond=beyond, unflown=unknown)
 
 
-def fit_airspeed(request: FitRequest, gate: GateRule) -> Fitted | None:
+def fit_airspeed(request: FitRequest, gate: GateRule) -> Fitted:
     """Learn on healthy recordings how well airspeed, GPS and wind agree, design the observer, calibrate its alarm.
-
-    Return None if there is no airspeed sensor or no velocity by GPS.
 
     Raises
     ------
     ModelError
-        Too little healthy flight.
+        There is no airspeed sensor, no velocity by GPS, or too little healthy flight in which the wind is known.
     """
     surveys = request.surveys
     known = {channel.name: channel for channel in common_channels(surveys).channels}
-    if not (set(_GPS) <= set(known) and all(map(has_airspeed_sensor, surveys))):
-        return None
+    if not all(map(has_airspeed_sensor, surveys)):
+        raise ModelError("the vehicle has no airspeed sensor: its airspeed is an estimate")
+    if not set(_GPS) <= set(known):
+        raise ModelError("no speed and course of a GPS in every log; record GPS_RAW_INT")
     channels: tuple[Channel, ...] = (AIRSPEED, *(known[name] for name in _SIGNALS[1:]))
     rate_hz = _FASTEST_HZ
     raw = raw_flights(request.logs, channels, rate_hz, gate)
@@ -143,7 +143,8 @@ def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float]:
     moving = [rows[rows[:, 0] > _SLOWEST * usual] for rows in flown]
     check_length(sum(map(len, moving)), rate_hz, "airspeed and GPS")
     scale, noise = _scale([rows for rows in moving if len(rows)], rate_hz)
-    values = (scale, noise, _LEVEL * _SMALLEST * scale * usual, _SLOWEST * scale * usual)
+    level = max(_LEVEL * _SMALLEST * scale * usual, _GUSTS * noise)
+    values = (scale, noise, level, _SLOWEST * scale * usual)
     return {name: float(f"{value:.4g}") for name, value in zip(_PARAMETERS, values, strict=True)}
 
 

@@ -46,6 +46,9 @@ def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
 
 def has_airspeed_sensor(survey: Survey) -> bool:
     """Return whether the vehicle has an airspeed sensor; without one, its airspeed is an estimate from GPS and wind."""
+    if survey.onboard:  # PX4 1.14 and later, and before; ArduPilot logs the airspeed of a sensor only
+        parameters = survey.parameters
+        return parameters.get("SYS_HAS_NUM_ASPD", 1.0) > 0.0 and parameters.get("FW_ARSP_MODE", 0.0) == 0.0
     present = survey.examples.get("SYS_STATUS", {}).get(_PRESENT)
     return not isinstance(present, int) or bool(present & _SENSOR)
 
