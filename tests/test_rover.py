@@ -72,6 +72,8 @@ def test_a_profile_holds_how_estimates_are_read(folder: Path, profile: Profile) 
     assert max(observer.effectiveness["steering"].misfit, observer.effectiveness["throttle"].misfit) > 1.0
     assert set(observer.reached) <= {*observer.gains[0].inputs, *observer.gains[0].outputs}
     assert any("steering" in rule.channels and "gyro_z" in rule.by for rule in profile.excuses)
+    compass = next(rule for rule in profile.observers[1].alarms if rule.channel == "compass")
+    assert compass.slow >= compass.threshold  # an attitude that is wrong turns the heading by half of it
     report = json.loads((folder / "fit.json").read_text())["observers"]["drive"]
     assert report["watched"] == ["steering", "throttle"]
     assert report["axes"]["yaw_rate"]["explained"] > 0.99

@@ -489,6 +489,11 @@ def _alarms(
         levels = healthy_levels(series, rate_hz, share, shown, _MOST_OF_JUMPS if edges else inf)
         bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
         found = calibrated(bare, levels, 1.0, floor=floor, critical=_CRITICAL * floor, times=times)
+        if channel.name in decided or channel.name == "compass":
+            # Half of that is no fault: gyros drift by it as they warm up, and where the field dips by 69 degrees an
+            # attitude that is wrong by 2 degrees, as a plane's is in gusts, turns the heading by 5. What the navigation
+            # has decided needs no mean.
+            found = replace(found, rule=replace(found.rule, slow=max(found.rule.slow, found.rule.threshold)))
         if channel.unit == "rad" and found.rule.threshold > pi:
             continue  # no heading is off by more than that
         if edges:
