@@ -200,7 +200,10 @@ def _read(
         sources = [partial(_of_one_vehicle, log) for log in sources]
     files = [Path(name).name for name in names]
     idle = [number for number, flight in enumerate(surveyed) if flight.survey.idle]
-    flown = [number for number in range(len(files)) if number not in idle] or list(range(len(files)))
+    # in one order, however they are given: what is kept back for a check, and the scatter of sums, follow the order
+    extents = [*((flight.span, flight.name) for flight in flights), *((extent, name) for name, extent in added)]
+    in_order = sorted(range(len(files)), key=extents.__getitem__)
+    flown = [number for number in in_order if number not in idle] or in_order
     return _ReadLogs(
         logs=[sources[number] for number in flown],
         names=[files[number] for number in flown],
