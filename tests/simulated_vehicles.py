@@ -58,17 +58,26 @@ def flight(seed: int, *, noise: float = 0.0, mixed: bool = False, idle: str = ""
     return Segment(np.stack([u[name] for name in SurfaceInputs.inputs], axis=1), measured)
 
 
-def ride(seed: int, *, cubic: float = 0.0, noise: float = 0.0, straight: bool = False, count: int = 2400) -> Segment:
-    """Return a ride of a rover, also in reverse; ``straight`` leaves the steering alone."""
+def ride(
+    seed: int,
+    *,
+    cubic: float = 0.0,
+    noise: float = 0.0,
+    straight: bool = False,
+    differential: bool = False,
+    count: int = 2400,
+) -> Segment:
+    """Return a ride of a rover, also in reverse; ``straight`` without steering, ``differential`` on two sides."""
     rng = np.random.default_rng(seed)
     speed = 1.5 + wandering(rng, count, 1.0, 0.99)
     speed = np.where(np.abs(speed) < 0.3, 0.3, speed)
     steering = np.zeros(count) if straight else np.clip(wandering(rng, count, 0.5), -1.0, 1.0)
     throttle = wandering(rng, count, 0.2)
+    rolls = np.ones(count) if differential else speed
     y = [
-        follow(STEERING, (steering + cubic * steering**3) * speed, np.zeros(count)),
+        follow(STEERING, (steering + cubic * steering**3) * rolls, np.zeros(count)),
         follow(DRIVE, throttle, -1.5 * speed),
     ]
-    u = {"steering": steering * speed, "throttle": throttle, "speed": speed}
+    u = {"steering": steering * rolls, "throttle": throttle, "speed": speed}
     measured = np.stack(y, axis=1) + rng.normal(scale=1.0, size=(count, 2)) * noise
     return Segment(np.stack([u[name] for name in DriveInputs.inputs], axis=1), measured)

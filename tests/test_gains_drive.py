@@ -26,6 +26,13 @@ def test_the_steerings_curve_is_learned_through_noise(cubic: float) -> None:
     assert gain == pytest.approx(STEERING[1] / (1.0 - STEERING[0]), rel=0.03)
 
 
+def test_two_sides_turn_a_rover_at_every_speed() -> None:
+    ridden = ride(3, cubic=0.15, noise=0.02, differential=True)
+    fit = identify_drive([ridden], RATE_HZ, DriveInputs.inputs, differential=True)
+    assert fit.curves["steering_cubic"] == pytest.approx(0.15, abs=0.03)
+    assert fit.axes[0].b == pytest.approx(STEERING[1], rel=0.05)
+
+
 def test_the_transform_takes_what_was_learned() -> None:
     fit = identify_drive([ride(3, cubic=-0.2)], RATE_HZ, DriveInputs.inputs)
     DriveInputs(fit.parameters() | {"reference_speed": 1.0, "minimum_speed": 0.3}, RATE_HZ, RATE_HZ)

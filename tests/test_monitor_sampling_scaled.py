@@ -93,6 +93,26 @@ def test_steering_acts_with_the_speed_along_the_heading_also_in_reverse(
     assert sample.y.tolist() == [0.7, 0.9]
 
 
+def test_mixed_outputs_act_as_the_actuators_that_they_are_mixed_of() -> None:
+    plain = plane(0, aileron=0.1, restart=True)
+    (sample,) = given_out(SurfaceInputs(SPEEDS, RATE_HZ, RATE_HZ), [plain])
+    for parameter, first in (("elevons", 0), ("v_tail", 2)):
+        mixed = plane(0, restart=True)
+        difference, mean = plain.values[first], plain.values[1]
+        mixed.values[first], mixed.values[1] = mean + difference, mean - difference
+        transform = SurfaceInputs(SPEEDS | {parameter: 1.0}, RATE_HZ, RATE_HZ)
+        (found,) = given_out(transform, [mixed])
+        assert found.u == pytest.approx(sample.u)
+        assert transform.signals[first] == {"elevons": "elevon_left", "v_tail": "tail_left"}[parameter]
+
+
+@pytest.mark.parametrize("speed", [-3.0, 0.6, 8.0])
+def test_wheels_of_two_sides_steer_by_their_difference_at_every_speed(speed: float) -> None:
+    transform = DriveInputs(CRAWL | {"sides": 1.0, "differential": 1.0}, RATE_HZ, RATE_HZ)
+    (sample,) = given_out(transform, [rover(0, 0.7, speed, restart=True)])  # 0.7 left, 0.3 right
+    assert sample.u == pytest.approx([0.2, 0.5, speed / 2.0])
+
+
 def test_a_standing_rover_gives_no_evidence() -> None:
     samples = [rover(0, 1.0, 0.1, restart=True), rover(1, 1.0, -0.1), rover(2, 1.0, -0.9)]
     found = given_out(DriveInputs(CRAWL, RATE_HZ, RATE_HZ), samples)

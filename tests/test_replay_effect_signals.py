@@ -6,8 +6,10 @@ from dataclasses import replace
 import pytest
 
 from adapters.errors import TelemetryError
-from monitor.fitting.survey import MotorOutput, Survey
+from monitor.fitting.effect_signals import EffectSignals
+from monitor.fitting.survey import MOTOR_MESSAGE, MotorOutput, Survey
 from monitor.vehicles.plane.signals import plane_signals
+from monitor.vehicles.plane.signals import preview as plane_preview
 from monitor.vehicles.plane.transform import SurfaceInputs
 from monitor.vehicles.rover.signals import rover_signals
 from monitor.vehicles.rover.transform import DriveInputs
@@ -36,6 +38,7 @@ def test_pulses_become_deflections() -> None:
 
 PX4 = {"CA_AIRFRAME": 1.0, "CA_SV_CS0_TYPE": 2.0, "CA_SV_CS1_TYPE": 3.0, "CA_SV_CS2_TYPE": 4.0}
 FOUR = (201, 202, 203, 101)
+ELEVONS = {"SERVO1_FUNCTION": 77.0, "SERVO2_FUNCTION": 78.0, "SERVO3_FUNCTION": 70.0, "SERVO4_FUNCTION": 0.0}
 TAIL = PX4 | {"CA_SV_CS1_TYPE": 7.0, "CA_SV_CS2_TYPE": 8.0}
 
 
@@ -117,16 +120,10 @@ def test_outputs_of_a_px4_rover_are_what_its_parameters_say() -> None:
     ("parameters", "px4", "said"),
     [
         ({"SYS_AUTOSTART": 4001.0}, True, "no parameter of PX4 in the logs says which output drives what"),
-        (TAIL | outputs_of("PWM_MAIN_FUNC", FOUR), True, "elevator and rudder alone: outputs 2, 3 act about two axes"),
-        (
-            {"SERVO1_FUNCTION": 77.0, "SERVO2_FUNCTION": 78.0, "SERVO3_FUNCTION": 70.0, "SERVO4_FUNCTION": 21.0},
-            False,
-            "aileron and elevator alone: outputs 1, 2 act about two axes",
-        ),
-        ({"SERVO1_FUNCTION": 4.0, "SERVO4_FUNCTION": 0.0}, False, "drives rudder alone; "),
+        (ELEVONS | {"SERVO2_FUNCTION": 0.0, "SERVO3_FUNCTION": 0.0}, False, "no output .* aileron or elevator"),
     ],
 )
-def test_outputs_that_are_not_known_or_mixed_are_refused(parameters: Mapping[str, float], px4: bool, said: str) -> None:
+def test_outputs_that_are_not_known_are_refused(parameters: Mapping[str, float], px4: bool, said: str) -> None:
     with pytest.raises(TelemetryError, match=said):
         plane_outputs(parameters, px4)
 
@@ -150,10 +147,61 @@ def test_outputs_that_come_as_often_as_the_controls_are_preferred() -> None:
     assert {channel.message for channel in plane_signals([log]).channels[:4]} == {"SERVO_OUTPUT_RAW"}
 
 
-def test_wheels_of_two_sides_are_refused() -> None:
-    skid = {"SERVO1_FUNCTION": 73.0, "SERVO3_FUNCTION": 74.0}
-    with pytest.raises(TelemetryError, match="outputs 1, 3 act about two axes"):
-        rover_signals([replace(FULL, parameters=skid)])
+def shares(signals: EffectSignals, pulses: Mapping[int, int]) -> dict[str, float | None]:
+    fields = {f"servo{n}_raw": pulse for n, pulse in pulses.items()}
+    return {channel.name: channel.value(fields) for channel in signals.channels if channel.message == MOTOR_MESSAGE}
+
+
+def test_elevons_of_ardupilot_are_taken_as_their_servos_turn() -> None:
+    servos = {"SERVO2_REVERSED": 1.0, "SERVO1_TRIM": 1450.0, "SERVO1_MIN": 1050.0, "SERVO1_MAX": 1850.0}
+    signals = plane_signals([replace(FULL, parameters=ELEVONS | servos)])
+    found = shares(signals, {1: 1550, 2: 1400, 3: 1300, 4: 1999})
+    assert found == pytest.approx({"elevon_left": 0.25, "elevon_right": 0.2, "throttle": 0.3, "rudder": 0.0})
+    assert (signals.parameters, signals.undriven) == ({"elevons": 1.0}, {"rudder"})
+    preview = plane_preview(replace(FULL, parameters=ELEVONS))
+    assert preview.watches == ("aileron", "elevator", "throttle")
+
+
+@pytest.mark.parametrize("turned", [0.0, 4.0])
+def test_a_v_tail_of_px4_is_taken_as_its_servos_turn(turned: float) -> None:
+    signals = plane_signals(
+        [replace(FULL, parameters=TAIL | outputs_of("PWM_MAIN_FUNC", FOUR) | {"PWM_MAIN_REV": turned}, px4=True)]
+    )
+    found = shares(signals, {1: 1750, 2: 1600, 3: 1400, 4: 1300})
+    right = 0.2 if turned else -0.2
+    assert found == pytest.approx({"aileron": 0.5, "tail_right": 0.2, "throttle": 0.3, "tail_left": right}) or (
+        found == pytest.approx({"aileron": 0.5, "tail_left": 0.2, "throttle": 0.3, "tail_right": right})
+    )
+    assert signals.parameters == {"v_tail": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "px4"),
+    [
+        ({"SERVO1_FUNCTION": 73.0, "SERVO3_FUNCTION": 74.0}, False),
+        ({"CA_AIRFRAME": 6.0, "PWM_MAIN_FUNC3": 101.0, "PWM_MAIN_FUNC1": 102.0}, True),
+    ],
+)
+def test_wheels_of_two_sides_steer_by_their_difference_at_every_speed(
+    parameters: Mapping[str, float], px4: bool
+) -> None:
+    signals = rover_signals([replace(FULL, parameters=parameters, px4=px4)])
+    assert shares(signals, {1: 1750, 3: 1600}) == pytest.approx({"wheels_left": 0.5, "wheels_right": 0.2})
+    assert signals.parameters == {"sides": 1.0, "differential": 1.0}
+
+
+def test_a_rover_with_a_servo_and_two_motors_is_steered_by_the_servo() -> None:
+    parameters = {"CA_AIRFRAME": 5.0} | outputs_of("PWM_MAIN_FUNC", (201, 101, 102))
+    channels = rover_signals([replace(FULL, parameters=parameters, px4=True)]).channels
+    assert [(channel.name, channel.path[0]) for channel in channels[:2]] == [
+        ("steering", "servo1_raw"),
+        ("throttle", "servo2_raw"),
+    ]
+
+
+def test_an_actuator_without_an_output_is_not_watched_and_the_others_are() -> None:
+    signals = plane_signals([replace(FULL, parameters={"SERVO1_FUNCTION": 4.0, "SERVO4_FUNCTION": 0.0})])
+    assert signals.undriven == {"rudder"}
 
 
 def test_angles_wrap() -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import tau
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
-from monitor.fitting.output_functions import CONTROLS_MESSAGE, Actuator, actuator_channels
+from monitor.fitting.output_functions import CONTROLS_MESSAGE, NO_OUTPUT, Actuator, MixedOutputs, actuator_channels
 from monitor.fitting.survey import IMUS, MOTOR_MESSAGE, Survey, in_every
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.slow_telemetry import LOG_FASTER
@@ -33,10 +33,24 @@ class EffectSignals:
 
     channels: tuple[Channel, ...]
     rate_hz: float
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of the transform, for mixed outputs
+
+    @property
+    def undriven(self) -> frozenset[str]:
+        """Names of the actuators that no output drives."""
+        return frozenset(channel.name for channel in self.channels if channel.scale == NO_OUTPUT)
+
+    def driven(self, actuators: Sequence[Actuator]) -> tuple[str, ...]:
+        """Return the names of the actuators that an output drives."""
+        return tuple(actuator.name for actuator in actuators if actuator.name not in self.undriven)
 
 
 def effect_signals(
-    surveys: Sequence[Survey], names: Sequence[str], actuators: Sequence[Actuator], speeds: Mapping[str, Channel]
+    surveys: Sequence[Survey],
+    names: Sequence[str],
+    actuators: Sequence[Actuator],
+    speeds: Mapping[str, Channel],
+    mixes: Sequence[MixedOutputs],
 ) -> EffectSignals:
     """Choose the channels of the transform's signals ``names``: of ``actuators`` and, by signal, of ``speeds``.
 
@@ -49,7 +63,7 @@ def effect_signals(
     """
     if in_every(surveys, [_ATTITUDE]) is None:
         raise TelemetryError(f"no attitude in every log; record {_ATTITUDE} at 50 Hz or more")
-    commands = actuator_channels(surveys, actuators)
+    commands, mixed = actuator_channels(surveys, actuators, mixes)
     imu = in_every(surveys, IMUS)
     if imu is None:
         raise TelemetryError(f"no accelerations in every log; record one of {', '.join(IMUS)} at 50 Hz or more")
@@ -61,7 +75,7 @@ def effect_signals(
         **speeds,
     }
     messages = {_ATTITUDE, imu, *(channel.message for channel in commands.values())}
-    return EffectSignals(tuple(known[name] for name in names), _rate_hz(surveys, messages))
+    return EffectSignals(tuple(known[name] for name in names), _rate_hz(surveys, messages), mixed)
 
 
 def _rate_hz(surveys: Sequence[Survey], messages: Collection[str]) -> float:

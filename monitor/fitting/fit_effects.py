@@ -123,7 +123,7 @@ def fit_effects(
     source = SampleSource(inputs=signals.channels, lift=lift)
     raw = [flight_samples(log(), source, signals.rate_hz, gate, commands=False) for log in request.logs]
     reference = _reference_speed(kind, raw)
-    speeds = {"reference_speed": reference, "minimum_speed": kind.slowest * reference}
+    speeds = {"reference_speed": reference, "minimum_speed": kind.slowest * reference, **signals.parameters}
     bare = TransformRule(kind.observer, signals.rate_hz, speeds)
     inputs = make_transform(bare, rate_hz).inputs
 
@@ -174,7 +174,7 @@ def fit_effects(
         reached=_reached(gains, flights),
         flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
         findings=_findings(fit, rate_hz, reference, reading),
-        lines=(*_lines(fit, rate_hz, reference, reading), *_asked(signals)),
+        lines=(*_lines(fit, rate_hz, reference, reading, signals), *_asked(signals)),
         details=() if comparison is None else ("on data kept back:", *comparison_lines(comparison)),
         comparison=comparison,
         excuses=(ExcuseRule(tuple(gains.faults), kind.sensors, _EXCUSED_S, precedes=True),),
@@ -309,7 +309,9 @@ def _findings(
     }
 
 
-def _lines(fit: AxesFit, rate_hz: float, reference: float, reading: Mapping[str, EffectivenessRule]) -> Iterable[str]:
+def _lines(
+    fit: AxesFit, rate_hz: float, reference: float, reading: Mapping[str, EffectivenessRule], signals: EffectSignals
+) -> Iterable[str]:
     explained = ", ".join(f"{axis.model.output.replace('_', ' ')} {100 * axis.explained:.1f} %" for axis in fit.axes)
     yield f"model {rate_hz:g} Hz, speed {reference:g} m/s, actuators explain {explained} of what changes"
     for fault, rule in reading.items():
@@ -319,7 +321,9 @@ def _lines(fit: AxesFit, rate_hz: float, reference: float, reading: Mapping[str,
         )
     for verdict in fit.excitation:
         if not verdict.excited:
-            yield f"note: {verdict.actuator} is not watched: {verdict.advice}"
+            driven = verdict.actuator not in signals.undriven
+            why = verdict.advice if driven else "by the vehicle's parameters no output drives it"
+            yield f"note: {verdict.actuator} is not watched: {why}"
 
 
 def _asked(signals: EffectSignals) -> Iterable[str]:

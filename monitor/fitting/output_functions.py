@@ -12,10 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from monitor.fitting.survey import MAX_OUTPUTS, MOTOR_MESSAGE, Survey, in_every
+from monitor.sampling.scaled import Mix
 
 MOTOR, SERVO = 101, 201
 """PX4's function numbers of its first motor and first servo."""
@@ -35,6 +37,7 @@ _AIRFRAMES: Mapping[float, tuple[tuple[int, ...], tuple[int, ...]]] = {
 is asked for more, PX4 sends over a link only the parameters that were changed since, and SYS_AUTOSTART."""
 _COMMANDED = 9
 """First output of a servo if the outputs of a log are made of PX4's commands to motors (1 to 8) and servos."""
+_FIRST_PORT = (("port", 0),)
 _PULSES = {True: (1000.0, 1000.0), False: (1500.0, 500.0)}
 """Pulses of no deflection, and their difference from those of a full one, microseconds: of actuators that go one way
 only (True), and of others."""
@@ -56,21 +59,35 @@ class Actuator:
         """Return an output as a share of full deflection."""
         centre, span = _PULSES[one_way]
         field = (f"servo{number}_raw",)
-        return Channel(self.name, MOTOR_MESSAGE, field, scale=1.0 / span, offset=-centre / span, where=(("port", 0),))
+        return Channel(self.name, MOTOR_MESSAGE, field, scale=1.0 / span, offset=-centre / span, where=_FIRST_PORT)
 
 
-_MIXED = Actuator("", 0, (73, 74, 77, 78, 79, 80), (5, 6, 7, 8, 13, 14))
-"""Functions that act about two axes at once: left and right wheels, elevons, V-tails and A-tails."""
+class MixedOutputs(NamedTuple):
+    """Two outputs that act about two axes at once: elevons, a V-tail, wheels of two sides."""
+
+    mix: Mix
+    first: Actuator
+    second: Actuator
 
 
-def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) -> dict[str, Channel]:
-    """Return the channel of each actuator by its name.
+DIFFERENTIAL = 6.0
+"""CA_AIRFRAME of PX4's rovers that are steered by the difference of their sides."""
+NO_OUTPUT = 0.0
+"""Scale of the channel of an actuator that no output drives: it never moves."""
+
+
+def actuator_channels(
+    surveys: Sequence[Survey], actuators: Sequence[Actuator], mixes: Sequence[MixedOutputs]
+) -> tuple[dict[str, Channel], dict[str, float]]:
+    """Return the channel of each actuator by its name, and the parameters of the transform for mixed outputs.
+
+    The channels of mixed outputs stand in place of those of the two actuators. An actuator that no output drives has a
+    channel that never moves.
 
     Raises
     ------
     TelemetryError
-        No log has controls, and outputs are mixed or nothing names the output of an actuator: every airframe of PX4 has
-        its own order.
+        No log has controls, and nothing names the output of any actuator: every airframe of PX4 has its own order.
     """
     # a VTOL's first controls are those of its rotors
     asked = all(
@@ -81,16 +98,18 @@ def actuator_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) 
     if asked and all(
         survey.rate_hz[CONTROLS_MESSAGE] >= _CLEARLY * survey.rate_hz.get(MOTOR_MESSAGE, 0.0) for survey in surveys
     ):
-        return controls
+        return controls, {}
     try:
-        return _output_channels(surveys, actuators)
+        return _output_channels(surveys, actuators, mixes)
     except TelemetryError:
         if not asked:
             raise
-        return controls
+        return controls, {}
 
 
-def _output_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) -> dict[str, Channel]:
+def _output_channels(
+    surveys: Sequence[Survey], actuators: Sequence[Actuator], mixes: Sequence[MixedOutputs]
+) -> tuple[dict[str, Channel], dict[str, float]]:
     if in_every(surveys, [MOTOR_MESSAGE]) is None:
         raise TelemetryError(f"no servo outputs in every log; record {MOTOR_MESSAGE} at 50 Hz or more")
     completed = [_completed(survey) for survey in surveys]
@@ -98,31 +117,55 @@ def _output_channels(surveys: Sequence[Survey], actuators: Sequence[Actuator]) -
     # A log of the outputs themselves also has unused ones, at the pulse of a disarmed output.
     moved = [number for number, output in survey.outputs.items() if output.low < output.high]
     commanded = survey.px4 and survey.onboard and any(number >= _COMMANDED for number in moved)
-    functions = _functions(survey, actuators, commanded)
-    wanted = [_wanted(survey, actuator) for actuator in actuators]
-    numbers = [_output(functions, codes) for codes in wanted]
+    if survey.px4 and survey.parameters.get("CA_AIRFRAME") != DIFFERENTIAL:
+        mixes = [pair for pair in mixes if not pair.first.px4]
+    sides = [side for pair in mixes for side in (pair.first, pair.second)]
+    driver, functions = _functions(survey, [*actuators, *sides], commanded)
     if survey.px4 and not functions:
         raise TelemetryError(
             "no parameter of PX4 in the logs says which output drives what (CA_AIRFRAME, CA_SV_CS*_TYPE, "
             "PWM_MAIN_FUNC*, or a SYS_AUTOSTART that is known; each airframe has its own order); fit a .ulg, or "
             "telemetry that holds the parameters"
         )
-    if not survey.px4:
-        # A link may lose parameters: an output without one is as usual.
-        usual = [None if actuator.usual in functions else actuator.usual for actuator in actuators]
-        numbers = [known or other for known, other in zip(numbers, usual, strict=True)]
-    if without := [actuator.name for actuator, number in zip(actuators, numbers, strict=True) if number is None]:
-        mixed = [str(n) for n, function in functions.items() if function in _wanted(survey, _MIXED)]
-        cause = f": outputs {', '.join(mixed)} act about two axes at once (elevons, a V-tail, wheels of two sides)"
+    found = {a.name: _output(functions, _wanted(survey, a)) for a in (*actuators, *sides)}
+    channels, parameters = {}, {}
+    for mix, first, second in mixes:
+        outputs = found[first.name], found[second.name]
+        if found[mix.difference] is None and outputs[0] is not None and outputs[1] is not None:
+            channels[mix.difference] = _side(survey, driver, commanded, first.name, outputs[0])
+            channels[mix.mean] = _side(survey, driver, commanded, second.name, outputs[1])
+            parameters[mix.parameter] = 1.0
+    unmixed = [actuator for actuator in actuators if actuator.name not in channels]
+    for actuator in unmixed:
+        number = found[actuator.name]
+        if number is None and not survey.px4 and actuator.usual not in functions:
+            number = actuator.usual  # a link may lose parameters: an output without one is as usual
+        if number is not None:
+            one_way = actuator.one_way or (commanded and number < _COMMANDED)
+            channels[actuator.name] = actuator.channel(number, one_way)
+    if not channels:
         raise TelemetryError(
-            f"by the vehicle's parameters no output of {MOTOR_MESSAGE} drives {' and '.join(without)} alone"
-            f"{cause if mixed else ''}; without such outputs it is not watched, --vehicle inertial watches the sensors"
+            f"by the vehicle's parameters no output of {MOTOR_MESSAGE} drives "
+            f"{' or '.join(actuator.name for actuator in actuators)}; --vehicle inertial watches the sensors"
         )
-    return {
-        actuator.name: actuator.channel(number, actuator.one_way or (commanded and number < _COMMANDED))
-        for actuator, number in zip(actuators, numbers, strict=True)
-        if number is not None
-    }
+    moves = next(iter(channels.values()))
+    silent = {a.name: replace(moves, name=a.name, scale=NO_OUTPUT, offset=0.0) for a in unmixed}
+    return silent | channels, parameters
+
+
+def _side(survey: Survey, driver: str, commanded: bool, name: str, number: int) -> Channel:
+    """Return one of two mixed outputs as a share of full deflection, in the direction in which it was commanded."""
+    parameters, (centre, span), reversed_ = survey.parameters, _PULSES[commanded and number < _COMMANDED], False
+    if not survey.px4:
+        servo = f"SERVO{number}_"
+        reversed_ = parameters.get(f"{servo}REVERSED", 0.0) > 0.0
+        centre = parameters.get(f"{servo}TRIM", centre)
+        travel = parameters.get(f"{servo}MAX", centre + span) - parameters.get(f"{servo}MIN", centre - span)
+        span = 0.5 * travel if travel > 0.0 else span
+    elif not commanded:
+        reversed_ = bool(int(parameters.get(f"{driver.removesuffix('FUNC')}REV", 0.0)) >> (number - 1) & 1)
+    scale = (-1.0 if reversed_ else 1.0) / span
+    return Channel(name, MOTOR_MESSAGE, (f"servo{number}_raw",), scale=scale, offset=-centre * scale, where=_FIRST_PORT)
 
 
 def _completed(survey: Survey) -> Survey:
@@ -141,20 +184,21 @@ def _output(functions: Mapping[int, float], codes: Sequence[int]) -> int | None:
     return next((number for code in codes for number, function in functions.items() if function == code), None)
 
 
-def _functions(survey: Survey, actuators: Sequence[Actuator], commanded: bool) -> Mapping[int, float]:
-    """Return the functions of outputs by number.
+def _functions(survey: Survey, actuators: Sequence[Actuator], commanded: bool) -> tuple[str, Mapping[int, float]]:
+    """Return the prefix of the parameters that name functions of outputs, and those functions by number.
 
-    None if no parameter gives an output one of the requested functions.
+    No functions if no parameter gives an output one of the requested functions.
     """
     if commanded:
-        return {n: MOTOR + n - 1 if n < _COMMANDED else SERVO + n - _COMMANDED for n in range(1, MAX_OUTPUTS + 1)}
-    names = [f"{driver}{{}}" for driver in _DRIVERS] if survey.px4 else ["SERVO{}_FUNCTION"]
-    asked = {code for actuator in (*actuators, _MIXED) for code in _wanted(survey, actuator)}
-    numbers = range(1, MAX_OUTPUTS + 1)
-    said = [{n: survey.parameters.get(name.format(n)) for n in numbers} for name in names]
-    tables = [{n: function for n, function in table.items() if function is not None} for table in said]
-    best = max(tables, key=lambda table: len(asked.intersection(table.values())))
-    return best if asked.intersection(best.values()) else {}
+        return "", {n: MOTOR + n - 1 if n < _COMMANDED else SERVO + n - _COMMANDED for n in range(1, MAX_OUTPUTS + 1)}
+    names = {driver: f"{driver}{{}}" for driver in _DRIVERS} if survey.px4 else {"": "SERVO{}_FUNCTION"}
+    asked = {code for actuator in actuators for code in _wanted(survey, actuator)}
+    tables = {}
+    for driver, name in names.items():
+        said = {n: survey.parameters.get(name.format(n)) for n in range(1, MAX_OUTPUTS + 1)}
+        tables[driver] = {n: function for n, function in said.items() if function is not None}
+    best = max(tables, key=lambda driver: len(asked.intersection(tables[driver].values())))
+    return best, tables[best] if asked.intersection(tables[best].values()) else {}
 
 
 def _wanted(survey: Survey, actuator: Actuator) -> Sequence[int]:

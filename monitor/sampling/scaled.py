@@ -29,6 +29,16 @@ class Scaled(NamedTuple):
     evidence: NDArray[np.bool_]
 
 
+class Mix(NamedTuple):
+    """Two outputs that each move a vehicle about two axes: half of their difference, and their mean."""
+
+    parameter: str  # of the transform: 1 if the vehicle has such outputs
+    difference: str  # actuator that half of the difference stands for
+    mean: str
+    first: str  # signals of the two outputs, in place of those of the actuators
+    second: str
+
+
 def raw_per_sample(transform: str, signal_rate_hz: float, rate_hz: float) -> int:
     """Return how many raw samples make one sample; ``transform`` is the name for the error message.
 
@@ -68,7 +78,7 @@ class ScaledInputs(ABC):
     ----------
     parameters : Mapping[str, float]
         ``reference_speed`` and ``minimum_speed`` (m/s); for each actuator optionally ``<name>_delay_s`` and
-        ``<name>_lag_s``; what else the kind knows.
+        ``<name>_lag_s``; of each of ``mixes`` its parameter; what else the kind knows.
     signal_rate_hz, rate_hz : float
         Raw samples and given samples per second; the first is a whole multiple of the second.
 
@@ -80,10 +90,11 @@ class ScaledInputs(ABC):
 
     kind: ClassVar[str]
     actuators: ClassVar[tuple[str, ...]]
-    signals: ClassVar[tuple[str, ...]]
+    signals: tuple[str, ...]
     inputs: ClassVar[tuple[str, ...]]
     outputs: ClassVar[tuple[str, ...]]
     extra_parameters: ClassVar[frozenset[str]] = frozenset()
+    mixes: ClassVar[tuple[Mix, ...]] = ()
     # whether a vehicle that is slow in operation has everything it needs: one on the ground
     may_stand: ClassVar[bool] = False
 
@@ -94,6 +105,12 @@ class ScaledInputs(ABC):
         timing = [
             (parameters.get(f"{name}_delay_s", 0.0), parameters.get(f"{name}_lag_s", 0.0)) for name in self.actuators
         ]
+        self._mixed = []
+        for mix in self.mixes:
+            if parameters.get(mix.parameter):
+                self._mixed.append((self.signals.index(mix.difference), self.signals.index(mix.mean)))
+                outputs = {mix.difference: mix.first, mix.mean: mix.second}
+                self.signals = tuple(outputs.get(name, name) for name in self.signals)
         self._means = LaggedMeans(timing, signal_rate_hz, size, len(self.inputs), len(self.outputs))
 
     @abstractmethod
@@ -107,7 +124,11 @@ class ScaledInputs(ABC):
         """
         # Absurd values may overflow; they are no evidence, and need no warning.
         with np.errstate(all="ignore"):
-            scaled = self.scale(np.ascontiguousarray(samples.u.T))
+            signals = np.array(samples.u.T, order="C")
+            for first, second in self._mixed:
+                half = 0.5 * signals[first], 0.5 * signals[second]
+                signals[first], signals[second] = half[0] - half[1], half[0] + half[1]
+            scaled = self.scale(signals)
         given = self._means.run(samples, scaled.columns, scaled.evidence)
         stands = ~scaled.evidence & ~samples.lost.any(axis=1)
         return given._replace(unflown=stands[given.rows]) if self.may_stand else given
@@ -115,7 +136,8 @@ class ScaledInputs(ABC):
     def _check(self, parameters: Mapping[str, float]) -> None:
         timing = {f"{actuator}_{key}" for actuator in self.actuators for key in ("delay_s", "lag_s")}
         speeds = ("reference_speed", "minimum_speed")
-        check_parameters(self.kind, parameters, speeds, optional=timing | self.extra_parameters)
+        mixes = {mix.parameter for mix in self.mixes}
+        check_parameters(self.kind, parameters, speeds, optional=timing | mixes | self.extra_parameters)
         for name in speeds:
             if not 0.0 < parameters[name] < 1e4:
                 raise TelemetryError(f"transform '{self.kind}': '{name}' is no positive speed in m/s")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from monitor.fitting.effect_signals import EFFECT_MESSAGES, EffectSignals, effect_signals
-from monitor.fitting.output_functions import MOTOR, Actuator
+from monitor.fitting.output_functions import MOTOR, Actuator, MixedOutputs
 from monitor.fitting.survey import Survey
 from monitor.vehicles.base import Preview
 from monitor.vehicles.plane.transform import SurfaceInputs
@@ -22,6 +22,11 @@ _ACTUATORS = (
     Actuator("elevator", 2, (19,), (3,), control=1),
     Actuator("throttle", 3, (70, 73), px4=MOTOR, one_way=True, control=4),
     Actuator("rudder", 4, (21,), (4,), control=2),
+)
+_ELEVONS, _V_TAIL = SurfaceInputs.mixes
+_MIXED = (
+    MixedOutputs(_ELEVONS, Actuator(_ELEVONS.first, 0, (77,), (5,)), Actuator(_ELEVONS.second, 0, (78,), (6,))),
+    MixedOutputs(_V_TAIL, Actuator(_V_TAIL.first, 0, (79,), (7, 13)), Actuator(_V_TAIL.second, 0, (80,), (8, 14))),
 )
 
 MESSAGES = EFFECT_MESSAGES | {_AIRSPEED_MESSAGE, "SYS_STATUS"}
@@ -41,7 +46,7 @@ def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
     """
     if not all(survey.counts.get(_AIRSPEED_MESSAGE) for survey in surveys):
         raise TelemetryError(f"no airspeed in every log; record {_AIRSPEED_MESSAGE} at 10 Hz or more")
-    return effect_signals(surveys, SurfaceInputs.signals, _ACTUATORS, {"airspeed": AIRSPEED})
+    return effect_signals(surveys, SurfaceInputs.signals, _ACTUATORS, {"airspeed": AIRSPEED}, _MIXED)
 
 
 def has_airspeed_sensor(survey: Survey) -> bool:
@@ -57,5 +62,5 @@ def preview(survey: Survey) -> Preview:
     """Return what could be watched with the messages of a recording."""
     signals = plane_signals([survey])
     compared = has_airspeed_sensor(survey) and bool(survey.counts.get("GPS_RAW_INT"))
-    watches = [actuator.name for actuator in _ACTUATORS] + ["airspeed"] * compared
-    return Preview(tuple(watches), signals.channels, signals.rate_hz)
+    watches = (*signals.driven(_ACTUATORS), *["airspeed"] * compared)
+    return Preview(watches, signals.channels, signals.rate_hz)

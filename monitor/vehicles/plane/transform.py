@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from adapters.channels import STANDARD_GRAVITY
 from monitor.core.lagged import cosines, sines
-from monitor.sampling.scaled import Array, Scaled, ScaledInputs
+from monitor.sampling.scaled import Array, Mix, Scaled, ScaledInputs
 
 _SMALLEST_SCALE = 0.2
 """Least s to divide by: the path's curvature and the drag grow without bound towards zero. Chosen: no plane flies at a
@@ -43,7 +43,7 @@ class SurfaceInputs(ScaledInputs):
 
     kind: ClassVar[str] = "surfaces"
     actuators: ClassVar[tuple[str, ...]] = ("aileron", "elevator", "rudder", "throttle")
-    signals: ClassVar[tuple[str, ...]] = (
+    signals: tuple[str, ...] = (
         *actuators,
         "airspeed",
         "roll",
@@ -70,6 +70,11 @@ class SurfaceInputs(ScaledInputs):
         "lift_drag",
     )
     outputs: ClassVar[tuple[str, ...]] = ("roll_rate", "pitch_rate", "yaw_rate", "forward_acceleration")
+
+    mixes: ClassVar[tuple[Mix, ...]] = (
+        Mix("elevons", "aileron", "elevator", "elevon_left", "elevon_right"),
+        Mix("v_tail", "rudder", "elevator", "tail_left", "tail_right"),
+    )
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
         super().__init__(parameters, signal_rate_hz, rate_hz)

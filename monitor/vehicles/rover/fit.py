@@ -1,6 +1,7 @@
 """The drive observer of a rover: steering times speed to yaw rate, throttle to forward specific force.
 
-    yaw_rate+             = a yaw_rate + b (steering + kappa steering^3) s + c        s = forward speed / reference
+    yaw_rate+             = a yaw_rate + b (steering + kappa steering^3) s + c        s = forward speed / reference,
+                                                                                   1 if driven on two sides
     forward_acceleration+ = b throttle + b_v s + c
 
 Throttle determines the specific force, not the speed: a slope slows a rover down, but its accelerometer does not
@@ -10,6 +11,8 @@ measure that. kappa, the curvature of turning rate over steering (linkage, tyres
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +49,9 @@ _SMALLEST_SPEED = 0.05
 squared."""
 
 
-def identify_drive(segments: Sequence[Segment], rate_hz: float, inputs: Sequence[str]) -> AxesFit:
+def identify_drive(
+    segments: Sequence[Segment], rate_hz: float, inputs: Sequence[str], *, differential: bool = False
+) -> AxesFit:
     """Fit the model of the module's docstring.
 
     Segments are healthy driving in unbroken stretches above the minimum speed: u (steering, throttle, speed, named by
@@ -61,7 +66,10 @@ def identify_drive(segments: Sequence[Segment], rate_hz: float, inputs: Sequence
     yaw, outputs = AXES[0], tuple(axis.output for axis in AXES)
     steering, speed = inputs.index("steering"), inputs.index("speed")
     straight = fit_axis(segments, rate_hz, inputs, outputs, yaw)
-    cubes = [_cube(segment.u[:, steering], segment.u[:, speed]) for segment in segments]
+    cubes = [
+        segment.u[:, steering] ** 3 if differential else _cube(segment.u[:, steering], segment.u[:, speed])
+        for segment in segments
+    ]
     widened = [
         Segment(np.column_stack([s.u, lagged(cube, straight.delay_s, straight.lag_s, rate_hz)]), s.y)
         for s, cube in zip(segments, cubes, strict=True)
@@ -111,4 +119,7 @@ def fit_rover(request: FitRequest) -> tuple[Fitted, GateRule]:
     Samples are evidence while the rover is armed and not slow.
     """
     gate = GateRule(require_airborne=False, settle_s=SETTLE_S)
-    return fit_effects(_ROVER, request, rover_signals(request.surveys), gate)
+    signals, kind = rover_signals(request.surveys), _ROVER
+    if "differential" in signals.parameters:
+        kind = replace(kind, full={}, identify=partial(identify_drive, differential=True))
+    return fit_effects(kind, request, signals, gate)

@@ -4,7 +4,7 @@ A steered wheel turns the vehicle in proportion to its rolling speed. With s = f
 
     effect = (steering + kappa steering^3) s
 
-so that the plant has constant coefficients.
+so that the plant has constant coefficients. Wheels that are driven on two sides turn it at every speed: without s.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from adapters.errors import TelemetryError
 from monitor.core.lagged import cosines, sines
-from monitor.sampling.scaled import Array, Scaled, ScaledInputs
+from monitor.sampling.scaled import Array, Mix, Scaled, ScaledInputs
 
 
 class DriveInputs(ScaledInputs):
@@ -24,12 +24,13 @@ class DriveInputs(ScaledInputs):
 
     The speed is the horizontal velocity projected on the heading: it is signed, so that the effect of steering reverses
     in reverse driving, and it is on the vehicle's clock, unlike VFR_HUD. Parameters are those of
-    :class:`monitor.sampling.scaled.ScaledInputs` and ``steering_cubic`` (kappa).
+    :class:`monitor.sampling.scaled.ScaledInputs`, ``steering_cubic`` (kappa) and ``differential``: 1 if
+    it is steered by the difference of two sides.
     """
 
     kind: ClassVar[str] = "drive"
     actuators: ClassVar[tuple[str, ...]] = ("steering", "throttle")
-    signals: ClassVar[tuple[str, ...]] = (
+    signals: tuple[str, ...] = (
         *actuators,
         "velocity_north",
         "velocity_east",
@@ -39,12 +40,14 @@ class DriveInputs(ScaledInputs):
     )
     inputs: ClassVar[tuple[str, ...]] = (*actuators, "speed")
     outputs: ClassVar[tuple[str, ...]] = ("yaw_rate", "forward_acceleration")
-    extra_parameters: ClassVar[frozenset[str]] = frozenset({"steering_cubic"})
+    extra_parameters: ClassVar[frozenset[str]] = frozenset({"steering_cubic", "differential"})
+    mixes: ClassVar[tuple[Mix, ...]] = (Mix("sides", "steering", "throttle", "wheels_left", "wheels_right"),)
     may_stand: ClassVar[bool] = True
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
         super().__init__(parameters, signal_rate_hz, rate_hz)
         self._cubic = parameters.get("steering_cubic", 0.0)
+        self._differential = parameters.get("differential", 0.0) > 0.0
         if not abs(self._cubic) <= 10.0:
             raise TelemetryError(f"transform '{self.kind}': 'steering_cubic' is {self._cubic:g}; at most 10")
 
@@ -53,5 +56,7 @@ class DriveInputs(ScaledInputs):
         steering, throttle, north, east, yaw, yaw_rate, forward = signals
         speed = north * cosines(yaw) + east * sines(yaw)
         s = speed / self.reference
-        effect = (steering + self._cubic * steering * steering * steering) * s
+        effect = steering + self._cubic * steering * steering * steering
+        if not self._differential:
+            effect = effect * s
         return Scaled([effect, throttle, s, yaw_rate, forward], np.abs(speed) >= self.minimum)
