@@ -54,6 +54,13 @@ def test_an_alarm_has_one_size_the_median_while_it_was_active(profile: Profile) 
     assert found.rival == ("motor2", pytest.approx(0.5))
 
 
+def test_time_in_which_no_channel_was_responsible_does_not_count_for_the_size(profile: Profile) -> None:
+    seldom = run()
+    seldom.isolated[1040:, 0] = 1e-15
+    [found] = findings(profile, EVENTS, [seldom])
+    assert (found.size, found.grew) == (pytest.approx(-0.05), False)
+
+
 def test_an_alarm_that_grew_has_the_size_that_it_came_to(profile: Profile) -> None:
     growing = run()
     growing.isolated[:, 0] = -0.08 * np.clip((growing.vehicle_ns / 1e9 - 10.2) / 2.8, 0.0, 1.0)

@@ -24,6 +24,9 @@ FIT_FILE = "fit.json"
 _PARTS = 8
 """The final size of a fault is the median of the last one of so many parts. Chosen: an eighth is long enough for noise,
 and short beside the fault's growth."""
+_TRACE = 0.1
+"""Share of the largest estimate from which one counts for the size. Chosen: smoothed estimates fall to it in 2.3 of
+their time constants."""
 _GROWTH = 1.2
 """Smallest ratio of the final size to the median for a fault that grew. Chosen: two standard deviations of estimates
 are some per cent of the size that raises an alarm, a tenth at most."""
@@ -165,8 +168,12 @@ def _finding(
 
 
 def _size(values: NDArray[np.float64]) -> tuple[float | None, bool]:
-    """Return the median of estimates, or their final size if they grew; and whether they grew."""
+    """Return the median of estimates, or their final size if they grew; and whether they grew.
+
+    Where another channel or none was held responsible they fall to zero, and say nothing of the size.
+    """
     values = values[np.isfinite(values)]
+    values = values[np.abs(values) > _TRACE * np.abs(values).max(initial=0.0)]
     if not len(values):
         return None, False
     middle = float(np.median(values))
