@@ -28,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 Floats = NDArray[np.float64]
 
@@ -68,6 +69,20 @@ WATCHED = (
     "field.linear_acceleration.z",
 )
 """Of the signals, those that do not depend on where north is."""
+MOTION = (
+    "field.twist.angular.x",
+    "field.twist.angular.y",
+    "field.twist.angular.z",
+    "field.twist.linear.z",
+    "field.linear_acceleration.x",
+    "field.linear_acceleration.y",
+    "field.linear_acceleration.z",
+)
+WANTED = ("delta_roll", "delta_pitch", "delta_yaw", "delta_z", "field.aspd_error", "field.alt_error")
+TICK = 8
+"""Samples of a tick of the Kalman filters: as often as accelerations come (2.5 Hz)."""
+FADE_S = 2.0
+"""Time over which those filters forget: the published mean delay."""
 MERGE_S = 10.0
 """Chosen: what crosses the threshold twice within it is one alarm, as alarms of a monitor clear late."""
 SETTLE_S = 10.0
@@ -180,7 +195,65 @@ def glr(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
     return lambda values: _shift(scale.scaled(values))
 
 
+def kalman_bank(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
+    """Largest bias, in standard deviations, that a bank of Kalman filters estimates, one filter for each signal.
+
+    The model is that of least squares over healthy flight: rates, accelerations and climb after a tick of 0.4 s by
+    themselves and by what the autopilot wants in vain, its inputs. In each filter one of them has a wandering bias.
+    """
+    scale = Scale.of(training)
+    known, given = ([SIGNALS.index(name) for name in names] for names in (MOTION, WANTED))
+
+    def ticks(values: Floats) -> tuple[Floats, Floats]:
+        means = _mean(scale.scaled(values), TICK)[TICK - 1 :: TICK]
+        return np.hstack([means[:-1][:, known + given], np.ones((len(means) - 1, 1))]), means[1:, known]
+
+    rows = [ticks(flight.healthy) for flight in training if len(flight.healthy) > 2 * TICK]
+    before, after = (np.concatenate(part) for part in zip(*rows, strict=True))
+    model = np.linalg.lstsq(before, after, rcond=None)[0]
+    return lambda values: _biases(lambda: ticks(values), model, np.cov((after - before @ model).T), len(values))
+
+
+def _biases(ticks: Callable[[], tuple[Floats, Floats]], model: Floats, noise: Floats, count: int) -> Floats:
+    """Return the largest bias at each of so many samples, in deviations, by the innovations of a model.
+
+    As the signals are measured, a steady filter of a bias that wanders is a mean of the innovations, projected onto the
+    bias, whose weights fade over :data:`FADE_S`.
+    """
+    before, after = ticks()
+    weight = np.linalg.inv(noise)
+    size = np.sqrt(np.diag(weight))
+    gain = TICK / HZ / FADE_S
+    bias = lfilter([gain], [1.0, gain - 1.0], (after - before @ model) @ weight / size, axis=0)
+    most = np.abs(bias).max(axis=1) * math.sqrt((2.0 - gain) / gain)
+    held = np.concatenate([np.zeros(2 * TICK - 1), np.repeat(most, TICK)])
+    return np.asarray(np.pad(held, (0, max(count - len(held), 0)), mode="edge")[:count])
+
+
 def fauio(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
+    """Likelihood of a failure as other flights had one, or of a bias that no such failure explains.
+
+    Both are in units of what healthy flight reaches, so that each costs about as many false alarms.
+    """
+    scores = [detector(training) for detector in (seen_failures, kalman_bank)]
+    sizes = [_usual_peaks([score(flight.healthy)[:, None] for flight in training]) for score in scores]
+    return lambda values: np.asarray(
+        np.max([score(values) / size for score, size in zip(scores, sizes, strict=True)], axis=0)
+    )
+
+
+def _usual_peaks(healthy: Sequence[Floats]) -> Floats:
+    """Return the mean of the largest values (k,) that healthy scores (n, k) have in different 10 s of flight."""
+    begin = round(SETTLE_S * HZ)
+    blocks = [
+        one[first : first + begin].max(axis=0)
+        for one in healthy
+        for first in range(begin, max(len(one) - begin // 2, 0), begin)
+    ]
+    return np.asarray(np.sort(blocks, axis=0)[-LARGEST:].mean(axis=0))
+
+
+def seen_failures(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
     """Likelihood of what failures of the other flights looked like over the last seconds, in noise as it is.
 
     The signals of now and of some moments before, averaged over :data:`MEAN_S`, are one vector. Its covariance over
@@ -205,13 +278,9 @@ def fauio(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
     noise = np.cov(joined.T)
     along = np.linalg.inv(noise + SHRINK * np.diag(np.diag(noise)))
     directions = np.stack([along @ one for one in _directions(training, known, usual, mirror)], axis=1)
-    blocks = [
-        ((one - usual) @ directions)[first : first + begin].max(axis=0)
-        for one in healthy
-        for first in range(0, max(len(one) - begin // 2, 0), begin)
-    ]
-    # each direction to the same size by the mean of its largest values in different 10 s of healthy flight
-    sizes = np.sort(blocks, axis=0)[-LARGEST:].mean(axis=0)
+    sizes = _usual_peaks(
+        [(one[: flight.onset] - usual) @ directions for one, flight in zip(known, training, strict=True)]
+    )
     return lambda values: np.asarray(((history(values) - usual) @ directions / sizes).max(axis=1))
 
 
@@ -267,7 +336,9 @@ def _shift(values: Floats) -> Floats:
     return best
 
 
-DETECTORS: dict[str, Detector] = {"fauio": fauio, "residual energy": residual_energy, "CUSUM": cusum, "GLR": glr}
+DETECTORS: dict[str, Detector] = {
+    "fauio": fauio, "residual energy": residual_energy, "CUSUM": cusum, "GLR": glr, "Kalman bank": kalman_bank,
+}  # fmt: skip
 
 
 def alarms(score: Floats, threshold: float) -> list[tuple[int, int]]:
