@@ -443,6 +443,7 @@ def test_a_lasting_alarm_of_what_was_learned_is_a_finding(name: str) -> None:
     review = watched(LEARNED[name])
     assert names(review) == [name]
     assert "compared with the first 19 s of the flight" in review.sentence
+    assert watched(replace(LEARNED[name], onset_s=22.5)).sentence.startswith("First, at 22.5 s")
 
 
 @pytest.mark.parametrize(("vehicle", "channel"), [("plane", "aileron"), ("plane", "throttle"), ("rover", "steering")])

@@ -29,3 +29,13 @@ def test_an_alarm_lasts_no_longer_than_anything_is_seen_of_it() -> None:
     facts = LogFacts("ArduPilot", "plane", START_NS, 15.0, (), ((0.0, 15.0),), {})
     (alarm,) = _alarms(Replay(events=(event(1000, "raised"),), traces=(seen,)), facts, 5.0)
     assert (alarm.start_s, alarm.end_s) == (pytest.approx(10.0), pytest.approx(11.0, abs=0.02))
+
+
+def test_a_finding_begins_where_its_estimate_left_what_is_usual() -> None:
+    run = trace()
+    isolated = np.random.default_rng(1).normal(scale=1e-3, size=run.isolated.shape)
+    isolated[run.unix_ns >= START_NS + 13_200_000_000] = -0.02
+    facts = LogFacts("ArduPilot", "multirotor", START_NS, 15.0, (), ((0.0, 15.0),), {})
+    raised = Replay(events=(event(1400, "raised"),), traces=(replace(run, isolated=isolated),))
+    (alarm,) = _alarms(raised, facts, 5.0)
+    assert (alarm.begin_s, alarm.start_s) == (pytest.approx(13.2, abs=0.02), pytest.approx(14.0))

@@ -20,7 +20,7 @@ from monitor.vehicles.kinds import KINDS, fit_reading
 from monitor.views.panels import RunView, in_display_units
 from replay.fit import fit_profile
 from replay.player import Replay, interests, play_batches
-from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal, inside
+from replay.review.facts.log_facts import Floats, LearnedAlarm, LearnedWatch, LogFacts, LogSignal, inside
 
 _KINDS = tuple(kind.name for kind in KINDS if kind.type_words)
 _LEARNED_S = 40.0
@@ -85,11 +85,14 @@ def _unlearned(facts: LogFacts, why: str) -> LogFacts:
 
 
 def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[LearnedAlarm]:
-    seen_s = {trace.layout.observer: (trace.unix_ns[trace.armed] - facts.start_ns) / 1e9 for trace in replay.traces}
+    traces = {trace.layout.observer: trace for trace in replay.traces}
     for span in alarm_spans(replay.events):
         start_s = (span.start_ns - facts.start_ns) / 1e9
         end_s = facts.duration_s if span.end_ns is None else (span.end_ns - facts.start_ns) / 1e9
-        if (seen := seen_s.get(span.observer)) is not None:
+        onset_s = None
+        if (trace := traces.get(span.observer)) is not None:
+            seen = (trace.unix_ns[trace.armed] - facts.start_ns) / 1e9
+            onset_s = _onset_s(trace, seen, span.channel, start_s)
             # an alarm stays active without evidence (a plane too slow for its surfaces), but does not count as lasting
             # then
             end_s = float(np.max(seen[inside(seen, [(start_s, end_s)])], initial=start_s))
@@ -110,7 +113,32 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
             possible=abs(typical.estimate) < _FASTEST_M_S
             if span.channel.startswith(_VELOCITIES)
             else typical.relative is not None or not span.channel.startswith("motor"),
+            onset_s=onset_s,
         )
+
+
+_USUAL = 0.99
+"""Share of the estimates before an alarm that are usual. Chosen: one outlier in a hundred decides nothing."""
+_BEFORE_S = 10.0
+"""Time before an alarm that is left out of it, seconds: a gyro's bias, the slowest, shows after some 3 s."""
+
+
+def _onset_s(trace: Trace, seen_s: Floats, channel: str, start_s: float) -> float | None:
+    """Return when an alarm's estimate left its usual range for the last time before the alarm; None if it did not.
+
+    An alarm is raised later, once noise alone does not explain the estimate.
+    """
+    if channel not in trace.layout.faults:
+        return None
+    index = trace.layout.faults.index(channel)
+    sizes = np.abs(trace.isolated[trace.armed, index])
+    usual = sizes[seen_s < start_s - _BEFORE_S]
+    raised = int(np.searchsorted(seen_s, start_s))
+    if not len(usual) or raised >= len(sizes):
+        return None
+    inside_range = np.flatnonzero(sizes[:raised] <= np.quantile(usual, _USUAL))
+    first = int(inside_range[-1]) + 1 if len(inside_range) else raised
+    return float(seen_s[first]) if first < raised else None
 
 
 def _typical(span: AlarmSpan) -> AlarmEvent:

@@ -132,6 +132,13 @@ class LearnedAlarm:
     text: str
     size: float = 0.0
     possible: bool = True
+    # time from which on the evidence exceeded what it usually is; None: not before the alarm
+    onset_s: float | None = None
+
+    @property
+    def begin_s(self) -> float:
+        """The begin of the evidence."""
+        return self.start_s if self.onset_s is None else self.onset_s
 
 
 @dataclass(frozen=True, slots=True)
