@@ -11,6 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench/leaderboard"))
 import alfa
 import crazypad
+import spoofing
 
 
 def write_flight(path: Path, seed: int, onset: int | None, count: int = 1200) -> None:
@@ -57,8 +58,8 @@ def test_alarms_close_together_are_one() -> None:
 
 
 def test_the_bound_of_nothing_seen_is_the_rule_of_three() -> None:
-    assert alfa._bound(0) == pytest.approx(3.0, abs=0.01)
-    assert alfa._bound(3) == pytest.approx(7.75, abs=0.01)
+    assert alfa.poisson_bound(0) == pytest.approx(3.0, abs=0.01)
+    assert alfa.poisson_bound(3) == pytest.approx(7.75, abs=0.01)
 
 
 def test_a_flight_of_crazypad_is_read_from_its_log_and_says_what_is_cut(tmp_path: Path) -> None:
@@ -94,3 +95,31 @@ def test_a_motor_that_is_commanded_more_than_in_normal_flights_is_named(score: c
 
     normal = [flight(seed, 0.0) for seed in range(4)]
     assert crazypad.named_by(score)(normal, [flight(9, 0.1)]) == [{"motor3"}]
+
+
+def write_north(path: Path, seed: int, led_m_s: float = 0.0) -> None:
+    """Write what a position controller had in 40 s of flight; from 20 s on the position is led away."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    time_s = np.arange(400) / 10
+    acceleration = np.random.default_rng(seed).normal(size=400)
+    velocity = np.cumsum(acceleration) / 10
+    position = np.cumsum(velocity) / 10 + led_m_s * np.maximum(time_s - 20.0, 0.0)
+    rows = np.stack([position, position, velocity, acceleration], axis=1)
+    text = [
+        f"PSCN, {1e6 * (10.0 + at):.0f}, {', '.join(f'{one:.6f}' for one in row)}"
+        for at, row in zip(time_s, rows, strict=True)
+    ]
+    path.write_text("\n".join(["\ufeffTimeUS,TPN,PN,VN,AN", *text, ""]), encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["residual energy", "GLR", "Kalman bank"])
+def test_a_position_led_away_is_found_by_what_its_velocity_does_not_explain(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(spoofing, "ATTACKS", {"Flight": 30.0})
+    for seed in range(3):
+        write_north(tmp_path / f"{seed}.csv", seed)
+    write_north(tmp_path / "Flight.csv", 9, led_m_s=3.0)
+    flights = [spoofing.read_flight(path) for path in sorted(tmp_path.glob("*.csv"))]
+    found = spoofing.compared(flights, spoofing.rival_alarms(spoofing.RIVALS[name]))
+    assert found["Flight"] == pytest.approx(0.2, abs=1.0)

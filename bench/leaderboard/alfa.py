@@ -170,29 +170,29 @@ Detector = Callable[[Sequence[Flight]], Callable[[Floats], Floats]]
 def residual_energy(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
     """Mean square of the scaled signals over a second."""
     scale = Scale.of(training)
-    return lambda values: _mean(np.square(scale.scaled(values)).mean(axis=1), int(HZ))
+    return lambda values: running_mean(np.square(scale.scaled(values)).mean(axis=1), int(HZ))
 
 
 def cusum(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
     """Largest two-sided cumulative sum of the scaled signals, with a drift of half a deviation."""
     scale = Scale.of(training)
+    return lambda values: sums(scale.scaled(values))
 
-    def score(values: Floats) -> Floats:
-        scaled = scale.scaled(values)
-        up = down = np.zeros(scaled.shape[1])
-        sums = np.empty(len(scaled))
-        for row, one in enumerate(scaled):
-            up, down = np.maximum(up + one - 0.5, 0.0), np.maximum(down - one - 0.5, 0.0)
-            sums[row] = max(up.max(), down.max())
-        return sums
 
-    return score
+def sums(scaled: Floats) -> Floats:
+    """Return the largest of the cumulative sums at each sample (n,)."""
+    up = down = np.zeros(scaled.shape[1])
+    largest = np.empty(len(scaled))
+    for row, one in enumerate(scaled):
+        up, down = np.maximum(up + one - 0.5, 0.0), np.maximum(down - one - 0.5, 0.0)
+        largest[row] = max(up.max(), down.max())
+    return largest
 
 
 def glr(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
     """Likelihood of a shifted mean in the scaled signals, as if they were white."""
     scale = Scale.of(training)
-    return lambda values: _shift(scale.scaled(values))
+    return lambda values: shift(scale.scaled(values))
 
 
 def kalman_bank(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
@@ -205,29 +205,32 @@ def kalman_bank(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
     known, given = ([SIGNALS.index(name) for name in names] for names in (MOTION, WANTED))
 
     def ticks(values: Floats) -> tuple[Floats, Floats]:
-        means = _mean(scale.scaled(values), TICK)[TICK - 1 :: TICK]
+        means = running_mean(scale.scaled(values), TICK)[TICK - 1 :: TICK]
         return np.hstack([means[:-1][:, known + given], np.ones((len(means) - 1, 1))]), means[1:, known]
 
     rows = [ticks(flight.healthy) for flight in training if len(flight.healthy) > 2 * TICK]
     before, after = (np.concatenate(part) for part in zip(*rows, strict=True))
     model = np.linalg.lstsq(before, after, rcond=None)[0]
-    return lambda values: _biases(lambda: ticks(values), model, np.cov((after - before @ model).T), len(values))
+    noise = np.cov((after - before @ model).T)
+
+    def score(values: Floats) -> Floats:
+        before, after = ticks(values)
+        most = biases(after - before @ model, noise, TICK / HZ / FADE_S)
+        held = np.concatenate([np.zeros(2 * TICK - 1), np.repeat(most, TICK)])
+        return np.asarray(np.pad(held, (0, max(len(values) - len(held), 0)), mode="edge")[: len(values)])
+
+    return score
 
 
-def _biases(ticks: Callable[[], tuple[Floats, Floats]], model: Floats, noise: Floats, count: int) -> Floats:
-    """Return the largest bias at each of so many samples, in deviations, by the innovations of a model.
+def biases(innovations: Floats, noise: Floats, gain: float) -> Floats:
+    """Return the largest bias at each row (n,), in deviations, by innovations (n, k) and their covariance.
 
-    As the signals are measured, a steady filter of a bias that wanders is a mean of the innovations, projected onto the
-    bias, whose weights fade over :data:`FADE_S`.
+    As the signals are measured, a steady filter of one that has a wandering bias is a mean of the innovations,
+    projected onto it, whose weights fade by ``gain`` with each row.
     """
-    before, after = ticks()
     weight = np.linalg.inv(noise)
-    size = np.sqrt(np.diag(weight))
-    gain = TICK / HZ / FADE_S
-    bias = lfilter([gain], [1.0, gain - 1.0], (after - before @ model) @ weight / size, axis=0)
-    most = np.abs(bias).max(axis=1) * math.sqrt((2.0 - gain) / gain)
-    held = np.concatenate([np.zeros(2 * TICK - 1), np.repeat(most, TICK)])
-    return np.asarray(np.pad(held, (0, max(count - len(held), 0)), mode="edge")[:count])
+    bias = lfilter([gain], [1.0, gain - 1.0], innovations @ weight / np.sqrt(np.diag(weight)), axis=0)
+    return np.asarray(np.abs(bias).max(axis=1) * math.sqrt((2.0 - gain) / gain))
 
 
 def fauio(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
@@ -265,7 +268,7 @@ def seen_failures(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
     mirror = np.tile([-1.0 if name in SIDEWAYS else 1.0 for name in WATCHED], len(BEFORE_S))
 
     def history(values: Floats) -> Floats:
-        means = _mean(scale.scaled(values)[:, columns], round(MEAN_S * HZ))
+        means = running_mean(scale.scaled(values)[:, columns], round(MEAN_S * HZ))
         index = np.arange(len(means))
         return np.concatenate([means[np.maximum(index - round(before * HZ), 0)] for before in BEFORE_S], axis=1)
 
@@ -317,7 +320,7 @@ _SIDE_BY = {"ailerons": "delta_roll", "rudder": "field.linear_acceleration.y"}
 """Which signal says to which side a failure went: the roll that is wanted in vain, the air from the side."""
 
 
-def _mean(values: Floats, count: int) -> Floats:
+def running_mean(values: Floats, count: int) -> Floats:
     """Return running means over the last samples (n, ...)."""
     total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
     index = np.arange(1, len(values) + 1)
@@ -326,12 +329,12 @@ def _mean(values: Floats, count: int) -> Floats:
     return np.asarray((total[index] - total[first]) / size)
 
 
-def _shift(values: Floats) -> Floats:
+def shift(values: Floats) -> Floats:
     """Return the largest likelihood of a shifted mean over windows up to each sample, in deviations of noise."""
     count = values.shape[1]
     best = np.zeros(len(values))
     for window in (max(2, round(seconds * HZ)) for seconds in WINDOWS_S):
-        size = window * np.square(_mean(values, window)).sum(axis=1)
+        size = window * np.square(running_mean(values, window)).sum(axis=1)
         best = np.maximum(best, (size - count) / math.sqrt(2.0 * count))
     return best
 
@@ -431,12 +434,12 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, float | int | None]:
         "precision": right / named if named else None,
         "recall": right / len(failed) if failed else None,
         "false_alarms_per_hour": false / hours,
-        "false_alarms_bound": _bound(false) / hours,
+        "false_alarms_bound": poisson_bound(false) / hours,
         "healthy_hours": hours,
     }
 
 
-def _bound(count: int) -> float:
+def poisson_bound(count: int) -> float:
     """Return the 95 % upper bound of a Poisson mean of which so many were seen (3.0 of none: the rule of three)."""
     low, high = 0.0, 10.0 * count + 20.0
     for _ in range(60):
