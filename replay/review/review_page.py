@@ -21,8 +21,8 @@ _OVERVIEW = ("height", "motors", "attitude", "battery")
 
 def review_page(review: LogReview) -> str:
     """Return the page."""
-    first, charts = review.first, Charts()
-    mark = first.judgement.weight if first is not None else "" if review.facts.flight else "unknown"
+    charts = Charts()
+    mark = review.severity if review.first is not None else "" if review.facts.flight else "unknown"
     said = review.facts
     kind = " ".join(word for word in (said.autopilot, said.vehicle) if word)
     begun = utc(said.start_ns) if said.start_ns > _FIRST_DRONE_NS else "date not recorded"
