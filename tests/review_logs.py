@@ -59,6 +59,7 @@ class Flight:
     texts: Sequence[tuple[float, str]] = ()
     commands: Sequence[tuple[float, int, int, float]] = ()  # when, component, MAV_CMD, first parameter
     parameters: Mapping[str, float] = field(default_factory=lambda: {"BAT1_N_CELLS": 4})
+    changes: Sequence[tuple[float, str, float]] = ()  # when, parameter, value
     # records of PX4 with more or other fields, at a time; None where the log has no such record
     others: Callable[[float], Mapping[str, Mapping[str, object] | None]] = lambda _: {}
 
@@ -104,6 +105,9 @@ def px4_log(path: Path, flight: Flight) -> Path:
         at, stamp = tick / 10, BEGIN_US + tick * 100_000
         while texts and texts[0][0] <= at:
             log.text(stamp, texts.pop(0)[1], 4)
+        for when, name, value in flight.changes:
+            if when <= at < when + 0.1:
+                log.parameter(name, value)
         for when, component, number, first in flight.commands:
             if when <= at < when + 0.1:
                 sent = {"param1": first, "command": number, "source_system": 255, "source_component": component}
@@ -207,6 +211,9 @@ def ardupilot_log(
         if now[1] != was[1]:
             log.add("EV", stamp, 18 if now[1] else 28)
         was = now
+        for when, name, value in flight.changes:
+            if when <= at < when + 0.1:
+                log.add("PARM", stamp, name, value)
         while faults and faults[0][0] <= at:
             log.add("ERR", stamp, *faults.pop(0)[1:])
         log.add("RCOU", stamp, *(round(1000 + 1000 * share) for share in flight.motors(at)))

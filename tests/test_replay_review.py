@@ -286,6 +286,16 @@ def test_of_several_accelerometers_the_one_that_clips_is_looked_at(tmp_path: Pat
     assert "vehicle_imu_status/1: " in review.findings[0].judgement.evidence[1]
 
 
+@pytest.mark.parametrize(("write", "suffix"), [(px4_log, "ulg"), (ardupilot_log, "bin")])
+def test_parameters_changed_in_flight_are_in_the_time_line(
+    write: Callable[[Path, Flight], Path], suffix: str, tmp_path: Path
+) -> None:
+    changes = [(0.0, "FENCE_ENABLE", 1.0), (1.0, "RTL_ALT", 15.0), (30.0, "FENCE_ENABLE", 0.0), (31.0, "LOG_FILE", 2.0)]
+    review = rules_on(write(tmp_path / f"flight.{suffix}", Flight(changes=changes)))
+    told = [(round(at), text) for at, kind, text in review.timeline() if kind == "parameter"]
+    assert told == [(30, "FENCE_ENABLE set to 0 (1 before)")]
+
+
 def test_a_flood_of_commands_is_a_finding(tmp_path: Path) -> None:
     flight = Flight(commands=[(1.0, 190, 400, 1.0), *((30.0, 190, 512, 0.0) for _ in range(60))])
     review = rules_on(px4_log(tmp_path / "flight.ulg", flight))

@@ -111,7 +111,7 @@ class Statement:
     """An event that the log states at a time: a text, a mode, a failsafe."""
 
     time_s: float
-    kind: str  # text, mode, arming, landing, failsafe, command
+    kind: str  # text, mode, arming, landing, failsafe, command, parameter
     text: str
     # of a text: MAVLink's severity, or UNKNOWN_LEVEL; of a state: 1: it begins, 0: it ends
     level: int = 0
@@ -334,6 +334,9 @@ class LogRecords:
         self._columns: dict[tuple[str, int], list[tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]]] = {}
         self.rows: dict[tuple[str, int], list[tuple[int, int, Mapping[str, Any]]]] = {}
         self.parameters: dict[str, float] = {}
+        # later values: time of arrival, name, value before and value
+        self.changed: list[tuple[int, str, float, float]] = []
+        latest: dict[str, float] = {}
         streams = StreamFilter()
         for batch in batches:
             for group in batch.columns:
@@ -348,7 +351,11 @@ class LogRecords:
                     )
             for message in batch.others.values():
                 if message.name in PARAMETER_MESSAGES and (known := parameter(message)) is not None:
-                    self.parameters.setdefault(*known)
+                    name, value = known
+                    self.parameters.setdefault(name, value)
+                    if (before := latest.get(name, value)) != value:
+                        self.changed.append((message.received_ns, name, before, value))
+                    latest[name] = value
                     continue
                 entry = message.received_ns, message.component, message.fields
                 self.rows.setdefault((message.name, message.system), []).append(entry)

@@ -8,8 +8,9 @@ from pathlib import Path
 from adapters.errors import TelemetryError
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, onboard_source
+from monitor.alarms.command_watch import command_risk
 from replay.review.facts import ardupilot, mavlink, px4
-from replay.review.facts.log_facts import SUBMARINE, LogFacts, LogRecords, flown
+from replay.review.facts.log_facts import SUBMARINE, LogFacts, LogRecords, Statement, flown
 
 _ABOVE = ("gps", "position")
 """Signals of a receiver, which tell nothing of a submarine."""
@@ -38,7 +39,13 @@ def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
         said,
         signals={name: signal for name, signal in said.signals.items() if signal and not (dives and name in _ABOVE)},
         lacks={**said.lacks, **dict.fromkeys(_ABOVE if dives else (), "receivers have no fix under water")},
-        statements=tuple(sorted(said.statements, key=lambda statement: statement.time_s)),
         commands=tuple(sorted(said.commands, key=lambda command: command.time_s)),
     )
-    return replace(facts, flight=tuple(flown(facts)) if facts.flies else facts.armed), recording.damage()
+    flight = tuple(flown(facts)) if facts.flies else facts.armed
+    changed = (
+        Statement(records.time_s(at), "parameter", f"{name} set to {value:g} ({before:g} before)")
+        for at, name, before, value in records.changed
+        if any(start <= records.time_s(at) < end for start, end in flight) and command_risk("PARAM_SET", (name,))
+    )
+    statements = sorted((*said.statements, *changed), key=lambda statement: statement.time_s)
+    return replace(facts, flight=flight, statements=tuple(statements)), recording.damage()
