@@ -1,6 +1,7 @@
 """The leaderboard counts what detectors find, late and falsely, and reads flights as they are."""
 
 import csv
+import json
 import struct
 import sys
 from pathlib import Path
@@ -11,7 +12,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench/leaderboard"))
 import alfa
 import crazypad
+import reviews
 import spoofing
+from review_logs import BEGIN_US, Flight, px4_log, usual_motors
 
 
 def write_flight(path: Path, seed: int, onset: int | None, count: int = 1200) -> None:
@@ -123,3 +126,27 @@ def test_a_position_led_away_is_found_by_what_its_velocity_does_not_explain(
     flights = [spoofing.read_flight(path) for path in sorted(tmp_path.glob("*.csv"))]
     found = spoofing.compared(flights, spoofing.rival_alarms(spoofing.RIVALS[name]))
     assert found["Flight"] == pytest.approx(0.2, abs=1.0)
+
+
+def test_verdicts_of_reviews_are_held_against_what_is_known(tmp_path: Path) -> None:
+    def at_full_command(at: float) -> list[float]:
+        return [*usual_motors(at)[:3], 0.95 if 30.0 <= at < 32.0 else usual_motors(at)[3]]
+
+    by_hand, flown = tmp_path / "by_hand", tmp_path / "flown"
+    for folder in (by_hand, flown):
+        folder.mkdir()
+    for name in ("motor_failure", "ekf_failure", "mine"):
+        px4_log(by_hand / f"{name}.ulg", Flight())
+    outcomes = {one.log: one.outcome for one in reviews.verdicts(by_hand, learn=False)}
+    assert outcomes == {"motor_failure.ulg": "right", "ekf_failure.ulg": "wrong", "mine.ulg": "unknown"}
+    for number in (4, 2):
+        px4_log(flown / f"motor{number}.ulg", Flight(motors=at_full_command))
+        fault = {
+            "kind": "motor_stopped",
+            "target": f"motor {number}",
+            "on": {"time_boot_ms": BEGIN_US // 1000 + 30_000},
+        }
+        (flown / f"motor{number}.json").write_text(json.dumps({"vehicle": "copter", "faults": [fault]}))
+    wrong, right = reviews.verdicts(flown, learn=False)  # in the order of names
+    assert (wrong.outcome, right.outcome, right.delay_s) == ("wrong", "right", pytest.approx(0.0, abs=0.2))
+    assert reviews.summary([wrong, right])["right"] == 1
