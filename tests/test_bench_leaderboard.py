@@ -82,7 +82,9 @@ def test_a_flight_of_crazypad_is_read_from_its_log_and_says_what_is_cut(tmp_path
     assert {message.name for message in crazypad.messages(flight)} > {"SERVO_OUTPUT_RAW", "ATTITUDE", "PARAM_VALUE"}
 
 
-@pytest.mark.parametrize("score", [crazypad.mean_command, crazypad.glr, crazypad.cusum, crazypad.kalman])
+@pytest.mark.parametrize(
+    "score", [crazypad.mean_command, crazypad.residual_energy, crazypad.glr, crazypad.cusum, crazypad.kalman]
+)
 def test_a_motor_that_is_commanded_more_than_in_normal_flights_is_named(score: crazypad.Score) -> None:
     def flight(seed: int, excess: float) -> crazypad.Flight:
         """Return one whose third motor needs more, its rates by what the motors deliver."""

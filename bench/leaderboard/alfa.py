@@ -81,6 +81,8 @@ MOTION = (
 WANTED = ("delta_roll", "delta_pitch", "delta_yaw", "delta_z", "field.aspd_error", "field.alt_error")
 TICK = 8
 """Samples of a tick of the Kalman filters: as often as accelerations come (2.5 Hz)."""
+LEARN_S = 60.0
+"""Time over which recursive least squares forget: twice the parameters of the model in ticks, and five times more."""
 FADE_S = 2.0
 """Time over which those filters forget: the published mean delay."""
 MERGE_S = 10.0
@@ -198,28 +200,61 @@ def glr(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
 def kalman_bank(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
     """Largest bias, in standard deviations, that a bank of Kalman filters estimates, one filter for each signal.
 
-    The model is that of least squares over healthy flight: rates, accelerations and climb after a tick of 0.4 s by
-    themselves and by what the autopilot wants in vain, its inputs. In each filter one of them has a wandering bias.
+    The model is that of least squares over healthy flight (:func:`_ticks`). In each filter one of the motions has a
+    wandering bias.
     """
     scale = Scale.of(training)
-    known, given = ([SIGNALS.index(name) for name in names] for names in (MOTION, WANTED))
-
-    def ticks(values: Floats) -> tuple[Floats, Floats]:
-        means = running_mean(scale.scaled(values), TICK)[TICK - 1 :: TICK]
-        return np.hstack([means[:-1][:, known + given], np.ones((len(means) - 1, 1))]), means[1:, known]
-
-    rows = [ticks(flight.healthy) for flight in training if len(flight.healthy) > 2 * TICK]
+    rows = [_ticks(scale, flight.healthy) for flight in training if len(flight.healthy) > 2 * TICK]
     before, after = (np.concatenate(part) for part in zip(*rows, strict=True))
     model = np.linalg.lstsq(before, after, rcond=None)[0]
     noise = np.cov((after - before @ model).T)
 
     def score(values: Floats) -> Floats:
-        before, after = ticks(values)
-        most = biases(after - before @ model, noise, TICK / HZ / FADE_S)
-        held = np.concatenate([np.zeros(2 * TICK - 1), np.repeat(most, TICK)])
-        return np.asarray(np.pad(held, (0, max(len(values) - len(held), 0)), mode="edge")[: len(values)])
+        before, after = _ticks(scale, values)
+        return _held(biases(after - before @ model, noise, TICK / HZ / FADE_S), len(values))
 
     return score
+
+
+def recursive_least_squares(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
+    """Largest error, in its own deviations, of what is learned within the flight itself.
+
+    The principle of the published method (Keipour et al.) on what the set has: motions are predicted by a model that
+    recursive least squares learn as the flight goes on (:func:`_ticks`).
+    """
+    scale = Scale.of(training)
+    keep = 1.0 - TICK / HZ / LEARN_S
+
+    def score(values: Floats) -> Floats:
+        before, after = _ticks(scale, values)
+        model, spread = np.zeros((before.shape[1], after.shape[1])), 100.0 * np.eye(before.shape[1])
+        usual, scores = np.ones(after.shape[1]), np.zeros(len(after))
+        for row, (given, found) in enumerate(zip(before, after, strict=True)):
+            off = found - given @ model
+            scores[row] = np.max(np.abs(off) / np.sqrt(usual))
+            gain = spread @ given / (keep + given @ spread @ given)
+            model += np.outer(gain, off)
+            spread = (spread - np.outer(gain, given @ spread)) / keep
+            usual = keep * usual + (1.0 - keep) * np.square(off)
+        return _held(scores, len(values))
+
+    return score
+
+
+def _ticks(scale: Scale, values: Floats) -> tuple[Floats, Floats]:
+    """Return motions at ticks of 0.4 s, and what they are predicted by.
+
+    That is motions and what the autopilot wants in vain a tick before, and 1.
+    """
+    known, given = ([SIGNALS.index(name) for name in names] for names in (MOTION, WANTED))
+    means = running_mean(scale.scaled(values), TICK)[TICK - 1 :: TICK]
+    return np.hstack([means[:-1][:, known + given], np.ones((len(means) - 1, 1))]), means[1:, known]
+
+
+def _held(scores: Floats, count: int) -> Floats:
+    """Return the scores of ticks, from the second one on, at so many samples."""
+    held = np.concatenate([np.zeros(2 * TICK - 1), np.repeat(scores, TICK)])
+    return np.asarray(np.pad(held, (0, max(count - len(held), 0)), mode="edge")[:count])
 
 
 def biases(innovations: Floats, noise: Floats, gain: float) -> Floats:
@@ -341,6 +376,7 @@ def shift(values: Floats) -> Floats:
 
 DETECTORS: dict[str, Detector] = {
     "fauio": fauio, "residual energy": residual_energy, "CUSUM": cusum, "GLR": glr, "Kalman bank": kalman_bank,
+    "RLS": recursive_least_squares,
 }  # fmt: skip
 
 
