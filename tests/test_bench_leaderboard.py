@@ -49,9 +49,17 @@ def test_a_flight_begins_where_all_signals_are_known(flights: list[alfa.Flight])
 
 @pytest.mark.parametrize("name", alfa.DETECTORS)
 def test_a_plain_shift_is_found_at_once_by_all(name: str, flights: list[alfa.Flight]) -> None:
-    found = alfa.summary(alfa.leave_one_out(flights, alfa.DETECTORS[name], 1.0))
+    scores = alfa.left_out(flights, alfa.DETECTORS[name])
+    found = alfa.summary(alfa.leave_one_out(scores, 1.0))
     assert (found["found"], found["failures"], found["flights"]) == (4, 4, 8)
     assert 0.0 <= float(found["mean_delay_s"] or 0.0) < 1.0
+
+
+def test_the_area_of_a_score_that_tells_all_samples_after_failures_is_one(flights: list[alfa.Flight]) -> None:
+    after = {flight.name: [(flight, 1.0 * (np.arange(len(flight.values)) >= flight.onset))] for flight in flights}
+    assert alfa.precision_recall_area(after) == 1.0
+    wrong = {name: [(flight, 1.0 - score)] for name, [(flight, score)] in after.items()}
+    assert alfa.precision_recall_area(wrong) < 0.2
 
 
 def test_alarms_close_together_are_one() -> None:

@@ -417,20 +417,38 @@ class Outcome:
     healthy_s: float
 
 
-def leave_one_out(flights: Sequence[Flight], detector: Detector, per_hour: float) -> list[Outcome]:
-    """Return what becomes of each flight, with all else from the other logs."""
-    logs = {flight.log: [one for one in flights if one.log == flight.log] for flight in flights}
-    scores: dict[str, list[Floats]] = {}
-    healthy: dict[str, list[Floats]] = {}
-    for log, own in sorted(logs.items()):
+Scores = dict[str, list[tuple[Flight, Floats]]]
+"""Flights of each log with the scores of a detector that does not know that log."""
+
+
+def left_out(flights: Sequence[Flight], detector: Detector) -> Scores:
+    """Return the scores of each flight by a detector that learned from the other logs."""
+    scores: Scores = {}
+    for log in sorted({flight.log for flight in flights}):
         score = detector([flight for flight in flights if flight.log != log])
-        scores[log] = [score(flight.values) for flight in own]
-        healthy[log] = [one[: flight.onset] for one, flight in zip(scores[log], own, strict=True)]
+        scores[log] = [(flight, score(flight.values)) for flight in flights if flight.log == log]
+    return scores
+
+
+def precision_recall_area(scores: Scores) -> float:
+    """Return the area under the curve of precision by recall, over samples; a sample after a failure counts as such."""
+    settled = round(SETTLE_S * HZ)
+    every = [one for own in scores.values() for one in own]
+    joined = np.concatenate([one[settled:] for _, one in every])
+    failed = np.concatenate([np.arange(settled, len(one)) >= flight.onset for flight, one in every])
+    in_order = failed[np.argsort(-joined, kind="stable")]
+    precision = np.cumsum(in_order) / np.arange(1, len(in_order) + 1)
+    return float(precision[in_order].mean())
+
+
+def leave_one_out(scores: Scores, per_hour: float) -> list[Outcome]:
+    """Return what becomes of each flight, with all else from the other logs."""
+    healthy = {log: [one[: flight.onset] for flight, one in own] for log, own in scores.items()}
     outcomes = []
-    for log, own in sorted(logs.items()):
+    for log, own in scores.items():
         # a detector knows what it learned from: healthy flight is scored by one that does not know it
-        threshold = threshold_for([one for other in logs if other != log for one in healthy[other]], per_hour)
-        for flight, one in zip(own, scores[log], strict=True):
+        threshold = threshold_for([one for other in scores if other != log for one in healthy[other]], per_hour)
+        for flight, one in own:
             spans = alarms(one, threshold)
             after = [start for start, _ in spans if start >= flight.onset]
             failed = flight.onset < len(flight.values)
@@ -500,14 +518,15 @@ def main(words: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"{args.folder}: holds no carbonZ_*.csv; give the folder 'failures' of the set\n")
         return 2
     for name, detector in DETECTORS.items():
-        outcomes = leave_one_out(flights, detector, args.per_hour)
+        scores = left_out(flights, detector)
+        outcomes = leave_one_out(scores, args.per_hour)
         kinds = sorted({one.kind for one in outcomes if one.failed})
         figures = {"all": summary(outcomes)}
         figures |= {kind: summary([one for one in outcomes if one.kind == kind]) for kind in kinds}
         if args.json:
-            sys.stdout.write(json.dumps({"detector": name, **figures}) + "\n")
+            sys.stdout.write(json.dumps({"detector": name, "auprc": precision_recall_area(scores), **figures}) + "\n")
             continue
-        sys.stdout.write(f"{name}\n")
+        sys.stdout.write(f"{name}: area under precision by recall {precision_recall_area(scores):.2f}\n")
         for kind, one in figures.items():
             mean, longest = one["mean_delay_s"], one["longest_delay_s"]
             delay = "-" if mean is None else f"{mean:.2f} s (median {one['median_delay_s']:.2f}, longest {longest:.1f})"
