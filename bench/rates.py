@@ -273,7 +273,8 @@ Flights count up to touchdown.
 
 ## What is wrong
 
-Faults that were missed or named wrongly, fits that were refused, and all false alarms:
+Faults that were missed or named wrongly, fits that were refused, and all false alarms
+([why](limits.md#what-was-missed-or-seen-late)):
 """
 
 BY_GROUP = """Faults named, with the median and worst delay from the onset; faults of which no other channel was named

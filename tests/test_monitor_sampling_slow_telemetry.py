@@ -48,7 +48,7 @@ def test_topics_with_positions_are_slow_by_nature_whatever_they_are_called() -> 
 def test_advice_of_more_telemetry_has_its_gain_in_figures() -> None:
     slow = {"SERVO_OUTPUT_RAW": 10.0}
     assert motor_gain(10.0) in slow_text(slow, 50.0, onboard=False, commands_hz=10.0)
-    assert "instead of 7 to 15 % within 10 to 20 s" in motor_gain(1.0)
+    assert "instead of 5 to 15 % within 10 to 20 s" in motor_gain(1.0)
     assert "motor" not in slow_text({"HIGHRES_IMU": 10.0}, 25.0, onboard=False)
 
 

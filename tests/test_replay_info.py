@@ -349,8 +349,8 @@ def test_an_onboard_log_says_its_inputs_frame_and_the_kind_of_its_sensors(
     assert "lost by their stamps" not in text
     fits = found["vehicle"]["fits"]
     assert fits["multirotor"]["missing"][-1] == (
-        "SERVO_OUTPUT_RAW at 50 Hz: it comes at 10 Hz; 100 Hz would show a motor's loss of 1.5 to 4 % within 1 s "
-        "instead of 15 to 20 %"
+        "SERVO_OUTPUT_RAW at 50 Hz: it comes at 10 Hz; 100 Hz would show a motor's loss of 1.5 to 3 % within 1 s "
+        "instead of 10 to 30 %"
     )
     assert fits["multirotor"]["watches"][:4] == ["motor1", "motor2", "motor3", "motor4"]
     assert fits["multirotor"]["facts"][0].startswith("frame: 4 rotors as the parameters place them")

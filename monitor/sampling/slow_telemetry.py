@@ -59,12 +59,10 @@ def slow_text(slow: Mapping[str, float], wanted_hz: float, *, onboard: bool, com
 def motor_gain(commands_hz: float) -> str:
     """Return which loss of a motor 100 Hz would show, and which this many commands a second show instead.
 
-    Measured by fits to two to four healthy flights of each of two autopilots' simulators (the lines "sees" of fit.txt):
-    at 100 Hz 1.5 and 4 % within 1 s, at 10 Hz 15 and 20 %, over radios 7 % within 10 s (2 Hz) and 15 % within 20 s (1
-    Hz).
+    Measured by fits to healthy flights of two autopilots' simulators: the lines "sees" of docs/rates.md.
     """
-    now = "15 to 20 %" if commands_hz >= _RADIO_HZ else "7 to 15 % within 10 to 20 s"
-    return f"100 Hz would show a motor's loss of 1.5 to 4 % within 1 s instead of {now}"
+    now = "10 to 30 %" if commands_hz >= _RADIO_HZ else "5 to 15 % within 10 to 20 s"
+    return f"100 Hz would show a motor's loss of 1.5 to 3 % within 1 s instead of {now}"
 
 
 _RADIO_HZ = 4.0
