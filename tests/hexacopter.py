@@ -31,11 +31,12 @@ def hexacopter_flight(
     onset_s: float = 20.0,
     end_s: float = 40.0,
     push: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    lively: float = 1.0,
 ) -> Iterator[Message]:
     """Yield the telemetry of a flight.
 
     ``loss`` maps motor numbers to the share of thrust lost from onset to end; ``push`` turns the vehicle about its axes
-    from outside, rad/s^2, at 10 s for half a second.
+    from outside, rad/s^2, at 10 s for half a second; ``lively`` multiplies the wanted motion.
     """
     rng = np.random.default_rng(seed)
     dt = 1.0 / (RATE_HZ * STEPS)
@@ -44,7 +45,7 @@ def hexacopter_flight(
     for k in range(round(duration_s * RATE_HZ)):
         now_s = k / RATE_HZ
         if k % 30 == 0:
-            wanted = rng.normal(0.0, [0.4, 0.4, 0.6, 0.04])
+            wanted = lively * rng.normal(0.0, [0.4, 0.4, 0.6, 0.04])
         gust += -gust / RATE_HZ + rng.normal(0.0, [0.02, 0.02, 0.01, 0.1])
         error = wanted[:3] - rate
         controls = np.append(np.clip(error * [0.08, 0.08, 0.15], -0.12, 0.12), _HOVER + wanted[3])

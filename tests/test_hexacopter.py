@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -55,6 +56,22 @@ def test_a_failing_motor_is_named_at_the_rates_of_logs_and_radios(
     assert {event.channel for event in named} == {"motor3"}
     assert 0.0 < seconds_after(named[0], 30.0) < within_s
     assert named[-1].state == "cleared"
+
+
+def test_a_hover_alone_makes_a_profile_that_takes_no_turn_for_a_lost_motor(tmp_path: Path) -> None:
+    hover = list(hexacopter_flight(1, 45.0, lively=0.08))
+    for name, value in (("FRAME_CLASS", 2.0), ("FRAME_TYPE", 1.0)):
+        fields = {"param_id": name, "param_value": value, "param_type": 9}
+        hover.insert(0, replace(hover[0], name="PARAM_VALUE", fields=fields))
+    with plain_fits():
+        report = fit_profile("multirotor", [lambda: packed(hover)], tmp_path / "hexa", "hexa")
+    assert "too few manoeuvres" in "\n".join(report.text())
+    profile = read_profile(tmp_path / "hexa")
+    assert not alarms(profile, 2, {}, 25.0)
+    flight = hexacopter_flight(3, 26.0, {3: 0.15}, lively=0.3)
+    named = [event for event in play(profile, flight).events if event.kind == "actuator"]
+    assert {event.channel for event in named} == {"motor3"}
+    assert 0.0 < seconds_after(named[0], 20.0) < 3.0
 
 
 def alarms(profile: Profile, seed: int, loss: dict[int, float], duration_s: float = 50.0) -> list[AlarmEvent]:
