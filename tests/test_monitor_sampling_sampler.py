@@ -413,6 +413,16 @@ def test_jitter_of_a_fifth_of_the_period_is_no_loss() -> None:
     assert all(sample.complete for sample in samples)
 
 
+def test_the_steps_of_a_loop_at_250_hz_are_no_loss() -> None:
+    steps_us = [8_000, 12_000, 16_000, 4_000, 8_000, 12_000, 12_000, 8_000] * 40  # as PX4 streams at 100 Hz
+    messages = [message("A", 10_000 + int(t), speed=0.0) for t in np.cumsum(steps_us)]
+    samples = feed(sampler([]), messages)
+    assert len(samples) > 310
+    assert all(sample.measured for sample in samples)
+    assert sum(sample.restart for sample in samples) == 1
+    assert np.mean([sample.complete for sample in samples]) > 0.8
+
+
 @pytest.mark.parametrize("lost_s", [1.4, 1.6])
 def test_a_long_gap_is_skipped_and_its_end_is_a_restart(lost_s: float) -> None:
     end = 1_000_000 + round(1e6 * lost_s)

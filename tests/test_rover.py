@@ -74,6 +74,9 @@ def test_a_profile_holds_how_estimates_are_read(folder: Path, profile: Profile) 
     assert any("steering" in rule.channels and "gyro_z" in rule.by for rule in profile.excuses)
     compass = next(rule for rule in profile.observers[1].alarms if rule.channel == "compass")
     assert compass.slow >= compass.threshold  # an attitude that is wrong turns the heading by half of it
+    rule = observer.effectiveness["steering"]
+    sees = f"steering alarm from {100 * rule.certainty * rule.loss_doubt:.0f} % loss"  # of which the model may be wrong
+    assert sees in (folder / "fit.txt").read_text()
     report = json.loads((folder / "fit.json").read_text())["observers"]["drive"]
     assert report["watched"] == ["steering", "throttle"]
     assert report["axes"]["yaw_rate"]["explained"] > 0.99

@@ -315,9 +315,12 @@ def _lines(
     explained = ", ".join(f"{axis.model.output.replace('_', ' ')} {100 * axis.explained:.1f} %" for axis in fit.axes)
     yield f"model {rate_hz:g} Hz, speed {reference:g} m/s, actuators explain {explained} of what changes"
     for fault, rule in reading.items():
+        # a size of which the model itself may be wrong is never certain
+        loss = max(rule.least_loss, rule.certainty * rule.loss_doubt)
+        offset = max(rule.least_offset, rule.certainty * rule.offset_doubt)
         yield (
-            f"{fault} alarm from {100 * rule.least_loss:.0f} % loss or {100 * rule.least_offset:.0f} % of full "
-            f"deflection off, at {rule.certainty:.1f} standard errors"
+            f"{fault} alarm from {100 * loss:.0f} % loss or {100 * offset:.0f} % of full deflection off, at "
+            f"{rule.certainty:.1f} standard errors"
         )
     for verdict in fit.excitation:
         if not verdict.excited:
