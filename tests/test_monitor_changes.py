@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -143,6 +143,7 @@ def test_the_size_is_right_within_its_deviation_from_the_first_naming_on(
 
 @settings(max_examples=5, deadline=None)
 @given(st.integers(0, 2**16), st.integers(0, 3), st.floats(0.02, 0.06))
+@example(5183, 3, 0.02)
 def test_a_motor_that_fades_is_named_with_its_growth(rule: ChangeRule, seed: int, motor: int, growth: float) -> None:
     flown = flight(np.random.default_rng(seed), 7.0, motor=motor, at_s=4.0, growth=growth)
     run = stage(rule).run(flown.samples, flown.armed, np.zeros((len(flown), 4)))

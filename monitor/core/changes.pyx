@@ -580,6 +580,7 @@ cdef class ChangeTest:
         cdef double width = max(1.0, SIGNATURE_SHARE * chosen.nats), most = chosen.nats
         cdef double along, square, next_along, next_square, cross, determinant, early, late, least
         cdef double size, nats, variance, weight, grown, total = 0.0, first = 0.0, second = 0.0
+        cdef double growing = 0.0, growth = 0.0
         for h in range(self.H):
             if self.owner[h] != owner:
                 continue
@@ -607,10 +608,14 @@ cdef class ChangeTest:
                 if size * chosen.size > 0.0 and (h >= 3 * self.m or fabs(size) <= LARGEST_LOSS):
                     weight = exp((nats - most) / width)
                     total, first = total + weight, first + weight * size
+                    if 2 * self.m <= h < 3 * self.m:
+                        growing, growth = growing + weight, growth + weight * along / square
                     second += weight * (size * size + variance * grown * grown)
         if total > 0.0:
             chosen.size = first / total
             chosen.variance = max(chosen.variance, second / total - chosen.size * chosen.size)
+        if growing > 0.0:
+            chosen.growth = growth / growing
 
     cdef double grows_to(self, Py_ssize_t h, Py_ssize_t age) noexcept:
         """Return the fault's size at an age of its onset, per unit of the fitted size."""
@@ -692,8 +697,9 @@ cdef class ChangeTest:
         every = chosen[0]
         self.weigh(self.owner[best], &every)
         if chosen.growth == 0.0:
-            chosen[0] = every
+            chosen[0], chosen.growth = every, 0.0
         else:
+            chosen.growth = every.growth
             # The size of a growing fault is that of its own onset; its error includes the distance to the other onsets.
             chosen.variance = every.variance + (every.size - chosen.size) * (every.size - chosen.size)
         if best < 3 * self.m and chosen.size > LARGEST_LOSS:
