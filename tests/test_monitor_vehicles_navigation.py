@@ -238,6 +238,18 @@ def test_a_tilt_that_a_gyros_fault_leaves_is_no_gps_that_is_led_away(size: float
     assert difference[900:].max() < 1.0
 
 
+def test_a_position_that_is_off_stays_so_as_the_navigation_begins_anew_after_a_gyros_fault() -> None:
+    raw = noisy(60.0, 4)
+    since = (np.arange(len(raw)) - ONSET) / truth.SIGNAL_HZ
+    for began_s, size in ((0.0, 0.1), (20.0, -0.1)):
+        raw[:, 4] += np.where(since >= began_s, size * np.exp(-np.clip(since - began_s, 0.0, None)), 0.0)
+    moved = raw.copy()
+    moved[ONSET + 1900 :, 9] += 6.0 / truth.metres_per_degree(truth.HOME[0])[0]
+    off = np.abs(gps_apart(moved) - gps_apart(raw))[:, 0]
+    # but for what is washed out
+    assert off[-1] == pytest.approx(6.0 * np.exp(-21.0 / DEFAULTS["washout_s"]), rel=0.05)
+
+
 def test_the_accelerometers_fault_is_an_output_and_none_of_it_is_left_in_the_accelerations() -> None:
     raw = noisy(40.0, 5)
     raw[ONSET:, 0] += 0.6

@@ -106,9 +106,9 @@ cdef class Navigation:
     cdef readonly double score
     # Whether the magnetic field has jumped and is not back yet.
     cdef bint strayed
-    # Whether a ramp of the GPS's velocity or the effect of a gyro's fault has ended: washed-out values from before are
-    # void.
-    cdef bint returned
+    # Whether a ramp of the GPS's velocity has ended: washed-out values from before are void. Whether the filter began
+    # anew after a gyro's fault: those that contain accelerations are.
+    cdef bint returned, renewed
 
     cdef void restart(self) noexcept
     cdef void go_on(

@@ -206,7 +206,7 @@ cdef class Navigation:
     cdef void restart(self) noexcept:
         self._begun = False
         self.score = 0.0
-        self.strayed = self.returned = self._learned = False
+        self.strayed = self.returned = self.renewed = self._learned = False
         memset(self._missed, 0, sizeof(self._missed))
 
     cdef void begin(self, const double* R) noexcept:
@@ -699,7 +699,7 @@ cdef class Navigation:
         self._helpless = self._helpless + 1 if which != _TURN and best[which] > level else 0
         if self._learned and not turning and self.score > level:
             self.restart()
-            self.returned = True
+            self.renewed = True
             return
         if (
             best[which] > level
@@ -717,7 +717,7 @@ cdef class Navigation:
                 if which >= _RAMP and turning:
                     # A tilt looks the same; it is left if the gyro's fault was not the believed one.
                     self.restart()
-                    self.returned = True
+                    self.renewed = True
                     return
                 self.jump(signature, which, size, 1.0 / signature.energy[which])
                 return

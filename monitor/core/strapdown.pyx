@@ -282,10 +282,10 @@ cdef class StrapdownCore:
     cdef double[_WIDEST] _place
     cdef double[2] _speed
     # The error of the GPS's velocity by a ramp, as the period began; the washed-out differences of GPS position and
-    # velocity from the inputs, and whether they are void.
+    # velocity from the inputs, and the first of these four that is void.
     cdef double[2] _led
     cdef double[4] _apart_gps
-    cdef bint _back
+    cdef int _void
     # Whether the rotation was set back in this period, a jump that no sensor made; whether the present y contains it.
     cdef bint _corrected, _moved
     cdef bint _still
@@ -422,7 +422,8 @@ cdef class StrapdownCore:
         memset(self._once, 0, sizeof(self._once))
         memset(self._led, 0, sizeof(self._led))
         memset(self._apart_gps, 0, sizeof(self._apart_gps))
-        self._back = self._corrected = self._moved = False
+        self._void = 4
+        self._corrected = self._moved = False
 
     def run(self, samples):
         """Process raw samples; return the observer's samples, each at the end of its period.
@@ -541,13 +542,13 @@ cdef class StrapdownCore:
                     for i in range(4):
                         change = places[i] - self._start[i] - u[count, i] * self._count * self._dt
                         self._apart_gps[i] = self._keep[i] * self._apart_gps[i] + self._gain[i] * change
-                        if self._back:
+                        if i >= self._void:
                             self._y[i], self._apart_gps[i] = self._y[i] - self._apart_gps[i], 0.0
                         # The known error of the GPS's velocity is not washed out.
                         if i >= 2:
                             y[count, i] += self._led[i - 2]
                             self._led[i - 2] = self._navigation.led(i - 2)
-                    self._back = False
+                    self._void = 4
                 for i in range(self._outputs):
                     ahead[count, i] = self._y[i] + (self._led[i - 2] if self._speeds and 2 <= i < 4 else 0.0)
                 rows[count] = row
@@ -828,9 +829,12 @@ cdef class StrapdownCore:
         if not fix[5] and (news and self._stood or (news or stands) and self._navigation.due(fix[7])):
             self._stood = self._stood and not news
             self._navigation.meet(fix + 3, fix[6])
+            # A position is compared with the GPS's own velocity, without accelerations.
             if self._navigation.returned:
-                self._navigation.returned = False
-                self._back = True
+                self._void = 0
+            elif self._navigation.renewed:
+                self._void = min(self._void, 2)
+            self._navigation.returned = self._navigation.renewed = False
 
     cdef double bends(self, const double* speed) noexcept:
         """Return 1 if a fix came since the tick before, which changes the slope of the GPS's velocity, otherwise 0.
