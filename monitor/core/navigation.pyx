@@ -128,6 +128,9 @@ cdef double[2] _MOST = [1.0, 4.0]
 # accelerometers. Without this prior, where the filter follows a fault as fast as it grows, an unrelated difference of
 # 0.1 m/s would look like 2.5 m/s^2, five times the standard deviation of that estimate.
 cdef double _SIGMAS = 3.0
+# Largest field of a vehicle's own as a share of the earth's horizontal one. ArduPilot calls interference of motors up
+# to 0.3 acceptable, and doubtful up to 0.6.
+cdef double _OWN_MOST = 0.6
 # A heading that differs by more, rad, means that the autopilot has set its attitude anew, rightly or wrongly. It is
 # used again when it agrees with the direction of motion within twice its noise.
 cdef double _TURNED = 0.5
@@ -161,6 +164,7 @@ cdef enum:
     _JUMP = 5
     _TURN = 7
     _RAMP = 8
+    _OWN = 10
 
 
 cdef class Navigation:
@@ -228,6 +232,8 @@ cdef class Navigation:
         memset(self._missed, 0, sizeof(self._missed))
         memset(self._field, 0, sizeof(self._field))
         memset(self._tilting, 0, sizeof(self._tilting))
+        memset(self._own, 0, sizeof(self._own))
+        memset(self._own_turn, 0, sizeof(self._own_turn))
         self._declined = self._back_s = self._back_off = self._whirl = self._sharp = self._late_s = 0.0
         self._lined_s = 0.0
         self._field_late_s = self._field_delay_s
@@ -388,11 +394,15 @@ cdef class Navigation:
             turned[i] = -self._field_late_s * rate[i]
         _turned(self._R, turned, then)
         for i in range(3):
-            north[i] = along(then, field, i)
+            # Without the vehicle's own.
+            north[i] = along(then, field, i) - then[3 * i] * self._own[0] - then[3 * i + 1] * self._own[1]
         square = north[0] * north[0] + north[1] * north[1]
         if square > 0.0:
             self._direction, self._pointed = -atan2(north[1], north[0]), True
             self._tilting[0], self._tilting[1] = -north[2] * north[0] / square, -north[2] * north[1] / square
+            self._horizontal = sqrt(square)
+            for i in range(2):
+                self._own_turn[i] = (north[1] * then[i] - north[0] * then[3 + i]) / self._horizontal
             self._turning = field_rate(then, rate, field)
 
     cdef void advance(self, double* m, int apart, const double* f) noexcept:
@@ -577,7 +587,7 @@ cdef class Navigation:
         cdef double[STATES] x
         cdef double[STATES] of_state
         cdef double[STATES] H
-        cdef double S, nu, expected
+        cdef double S, nu, expected, first = 0.0
         cdef Signature* signature
         cdef int m, i, j, k, h, n
         self._count += 1
@@ -614,6 +624,12 @@ cdef class Navigation:
                         expected += 1.0
                     elif h == _RAMP + m:
                         expected += signature.age_s
+                    elif h >= _OWN and m == 2:
+                        expected += self._own_turn[h - _OWN]
+                    if h == _OWN:
+                        first = expected
+                    elif h == _OWN + 1:
+                        signature.crossed += first * expected / S
                     signature.matched[h] += expected * nu / S
                     signature.energy[h] += expected * expected / S
                     for i in range(STATES):
@@ -665,7 +681,10 @@ cdef class Navigation:
             best[h], onset[h], end[h], ended[h] = 0.0, 0, 0.0, 0
         for k in range(n):
             signature = &self._signatures[k]
-            for h in range(HYPOTHESES):
+            likelihood = self.own(signature, NULL)
+            if likelihood > best[_OWN]:
+                best[_OWN], onset[_OWN] = likelihood, k
+            for h in range(_OWN):
                 if signature.energy[h] <= 0.0:
                     continue
                 likelihood = 0.5 * signature.matched[h] * signature.matched[h] / (signature.energy[h] + _rarity(h))
@@ -691,12 +710,16 @@ cdef class Navigation:
             if best[h] > best[which]:
                 which = h
         for h in range(HYPOTHESES):
-            if h != which:
+            # A field of the vehicle's own turns the heading alone. It has one component more than a gyro, and the odds
+            # that pays for it: -1/2 log(1 + sigma^2 s' S^-1 s), which is the margin.
+            if h == _OWN and (which == 2 or which == _TURN):
+                others = fmax(others, best[h] - _MARGIN)
+            elif h != which and h < _OWN:
                 others = fmax(others, best[h] - (_COINCIDENCE if h >= _RAMP and which < _RAMP else 0.0))
         level = fmin(self._level, _JUMPED) if _JUMP <= which < _TURN else self._level
         # Jumps make no sensor responsible; magnetometers are judged elsewhere.
-        self.score = 0.0 if _JUMP <= which < _RAMP else best[which]
-        self._helpless = self._helpless + 1 if which != _TURN and best[which] > level else 0
+        self.score = 0.0 if _JUMP <= which < _RAMP or which == _OWN else best[which]
+        self._helpless = self._helpless + 1 if which != _TURN and which != _OWN and best[which] > level else 0
         if self._learned and not turning and self.score > level:
             self.restart()
             self.renewed = True
@@ -707,6 +730,9 @@ cdef class Navigation:
             and (which != 2 or self._field_noise > 0.0)
         ):
             signature = &self._signatures[onset[which]]
+            if which == _OWN:
+                self.learn_own(signature)
+                return
             size = signature.matched[which] / signature.energy[which]
             least = _LEAST[which >= 3] if which < _JUMP else _LEAST_RAMP if which >= _RAMP else 0.0
             if (
@@ -730,6 +756,30 @@ cdef class Navigation:
             elif self._faulty[h] and size > _MOST[h >= 3]:
                 self.restart()
                 return
+
+    cdef double own(self, Signature* signature, double* size) noexcept:
+        """Return the likelihood of a field of the vehicle's own since an onset; fill in its components, if asked."""
+        cdef double x = signature.energy[_OWN] + _rarity(_OWN), y = signature.energy[_OWN + 1] + _rarity(_OWN)
+        cdef double along_x = signature.matched[_OWN], along_y = signature.matched[_OWN + 1], both = signature.crossed
+        cdef double determinant = x * y - both * both
+        cdef double size_x = (along_x * y - along_y * both) / determinant
+        cdef double size_y = (along_y * x - along_x * both) / determinant
+        if size:
+            size[0], size[1] = size_x, size_y
+        return 0.5 * (size_x * along_x + size_y * along_y)
+
+    cdef void learn_own(self, Signature* signature) noexcept:
+        """Subtract a field of the vehicle's own from now on."""
+        cdef double[2] size
+        cdef double[STATES] x
+        cdef int i
+        self.own(signature, size)
+        for i in range(STATES):
+            x[i] = size[0] * signature.state[_OWN][i] + size[1] * signature.state[_OWN + 1][i]
+        for i in range(2):
+            self._own[i] += size[i] * self._horizontal
+        self.correct(x)
+        self._count = self._helpless = 0
 
     cdef void end(self, Signature* signature, int which) noexcept:
         """Remove a fault from the state."""
@@ -812,6 +862,8 @@ cdef class Navigation:
 
 cdef inline double _rarity(int h) noexcept:
     """Return one over the prior variance of a hypothesis' size; 0 for jumps, which may have any size."""
+    if h >= _OWN:
+        return (_SIGMAS / _OWN_MOST) ** 2
     return (_SIGMAS / _MOST[h >= 3]) ** 2 if h < _JUMP or h >= _RAMP else 0.0
 
 
