@@ -284,6 +284,7 @@ class ObserverChain:
         shares = {rule.channel: rule.healthy / rule.threshold for rule in profile.alarms if rule.threshold > 0.0}
         healthy = np.array([shares.get(name, 0.0) for name in names])
         excited = [index for index, channel in enumerate(profile.faults) if channel.kind == "actuator"]
+        self._healthy = healthy
         self._weighing = Weighing(
             self._faults, len(self._alarms), shown_in(profile.model, self.layout), healthy, excited
         )
@@ -489,6 +490,10 @@ class ObserverChain:
         if self._changes is not None:
             asked = nats_asked(self._states[: len(self._faults)], evidence, speaking, alarm_scale, beyond)
             changes = self._changes.run(samples, estimates.armed, estimates.isolated, asked, given.ahead)
+            for fault, output in self._changes.noisy.items():
+                if (alarm := self._alarm_of[fault]) >= 0:
+                    louder = np.sqrt(changes.noise[:, output]) * self._healthy[fault]
+                    alarm_scale[:, alarm] = scale[:, fault] = np.maximum(scale[:, fault], louder)
             if changes.named.max(initial=-1) < 0:
                 changes = None
             elif effects:

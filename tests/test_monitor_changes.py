@@ -207,9 +207,10 @@ def test_samples_name_what_has_the_nats_they_ask_for_and_nothing_else(
     run = stage(rule).run(flown.samples, flown.armed, nobody, asked)
     wanted = (everything.named >= 0) & (everything.nats >= asked)
     for one, other, nothing in zip(
-        run, everything, (-1, 0.0, 0.0, 0.0, 0.0, flown.samples.vehicle_time_ns), strict=True
+        run[:-1], everything[:-1], (-1, 0.0, 0.0, 0.0, 0.0, flown.samples.vehicle_time_ns), strict=True
     ):
         np.testing.assert_array_equal(one, np.where(wanted, other, nothing))
+    np.testing.assert_array_equal(run.noise, everything.noise)
 
 
 def test_what_alarms_do_not_ask_of_sudden_changes_makes_no_difference_to_them(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -431,6 +432,19 @@ def test_another_stream_of_a_sensor_with_any_noise_is_no_fault_of_it(
     rows = np.flatnonzero(run.nats >= nats)
     assert rows[0] <= 506
     assert {list(SENSORS)[fault] for fault in run.named[rows]} == {"gps_north"}
+
+
+def test_the_noise_of_a_sensor_is_followed_and_no_fault_raises_it(sensors: tuple[ChangeRule, float]) -> None:
+    column = sensors[0].outputs.index("gps_north")
+    flown = travel(np.random.default_rng(29), 30.0)
+    healthy = judged(sensors[0], flown).noise[500:, column]
+    assert healthy.max() < 2.0
+    for ramp in (False, True):
+        faulty = travel(np.random.default_rng(29), 30.0)
+        faulty.samples.y[:] += course("gps_north", 4.0, ramp, 500, len(flown))
+        assert judged(sensors[0], faulty).noise[500:, column].max() < 2.0
+    flown.samples.y[500:, OUTPUTS.index("gps_north")] += 0.06 * np.random.default_rng(30).normal(size=len(flown) - 500)
+    assert judged(sensors[0], flown).noise[600:, column].min() > 5.0
 
 
 def test_heavy_tails_raise_no_more_alarms_than_promised(sensors: tuple[ChangeRule, float]) -> None:

@@ -27,6 +27,9 @@ cdef double NOISE_OF_AXIS = 1.0
 # present level: another stream of a sensor (less filtered, of another rate or rounding) may have any noise, and the
 # level follows it.
 cdef double LEVEL_CLIP = 9.0
+# The same of the noise alone. Chosen: two deviations; a step through the whitening's dozen rows raises it by two, and
+# normal noise reads a fifth too small.
+cdef double NOISE_CLIP = 4.0
 # Largest size of a loss. Chosen: a quarter more than everything, as sizes from the first samples are rough.
 cdef double LARGEST_LOSS = 1.25
 # Two onsets are fitted together if the determinant of their information, as a share of the product of its diagonal, is
@@ -197,6 +200,9 @@ cdef class ChangeTest:
     # Kept from row to row in rings, the newest at ``row``: v, v after the lag, innovations, |y| and |B dv|.
     cdef double[:, ::1] v, acting, innovation, excited
     cdef double[::1] last_y, most_excited, whitened, sigma, level
+    # The noise alone: half of the mean square of the difference between successive e, and the e before. A fault that
+    # lasts or grows does not raise it (von Neumann's mean square successive difference, 1941).
+    cdef double[::1] noise, last_e
     # z / sigma and 1 / sigma^2; time since an onset; value and slope of responses that grow evenly.
     cdef double[::1] pull, weight, since, start, slope
     cdef uint8_t[::1] is_sudden
@@ -246,6 +252,7 @@ cdef class ChangeTest:
         self.last_y = np.zeros(self.n)
         self.whitened, self.sigma = np.zeros(self.p), np.ones(self.p)
         self.level, self.follow = np.ones(self.p), 1.0 / level_rows
+        self.noise, self.last_e = np.ones(self.p), np.zeros(self.p)
         self.pull, self.weight, self.start, self.slope = np.zeros((4, self.p))
         self.is_sudden = np.repeat([1, 0], [2 * self.m, self.m]).astype(np.uint8)
         self.is_sudden = np.concatenate([self.is_sudden, np.asarray(sudden)]).astype(np.uint8)
@@ -282,6 +289,7 @@ cdef class ChangeTest:
         """Forget the rows before a restart."""
         self.has_y[:] = 0
         self.level[:] = 1.0
+        self.noise[:] = 1.0
         self.known[:] = 0
         self.commands = 0
         self.drop_onsets()
@@ -317,7 +325,7 @@ cdef class ChangeTest:
         """Return the named fault (N,), -1 for none, with nats, size, its growth a second, sd and time of onset (N,).
 
         The size of an actuator's fault is the share of its effect, negative for a loss; that of a sensor is in its
-        units.
+        units. With them the variance of each output's noise relative to that of healthy flights (N, p).
 
         Parameters
         ----------
@@ -339,7 +347,8 @@ cdef class ChangeTest:
         cdef Py_ssize_t k, i, owner, count = u.shape[0]
         cdef double sign = -1.0 if self.m else 1.0
         cdef bint known
-        results = np.empty(count, np.intp), *np.zeros((4, count)), np.empty(count, np.int64)
+        results = np.empty(count, np.intp), *np.zeros((4, count)), np.empty(count, np.int64), np.empty((count, self.p))
+        cdef double[:, ::1] noise = results[6]
         cdef Py_ssize_t[::1] named = results[0]
         cdef double[::1] nats = results[1], size = results[2], growth = results[3], sd = results[4]
         cdef int64_t[::1] onset_ns = results[5]
@@ -355,6 +364,8 @@ cdef class ChangeTest:
                 # The noise of a sensor's stream is known before its rows are evidence; that of an actuator's belongs to
                 # flight.
                 self.whiten()
+            for i in range(self.p):
+                noise[k, i] = self.noise[i]
             if not (known and armed[k]):
                 self.drop_onsets()
                 continue
@@ -431,7 +442,7 @@ cdef class ChangeTest:
     cdef void whiten(self) noexcept:
         """z = (nu - sum_i Phi_i nu(k - i)) / sigma, at most ``clip``; sigma^2 = (c_0 + c_1 r^2 + c_2 d^2) lambda."""
         cdef Py_ssize_t i, j, d, lag, newest = self.row % self.length
-        cdef double e, rate, moved, square, level, length = 0.0, weight
+        cdef double e, rate, moved, square, level, length = 0.0, weight, apart
         for i in range(self.p):
             self.whitened[i] = 0.0
             if self.known[i] <= self.P:
@@ -445,6 +456,10 @@ cdef class ChangeTest:
             self.sigma[i] = sqrt(
                 self.variance[i, 0] + self.variance[i, 1] * rate * rate + self.variance[i, 2] * moved * moved)
             square = e * e / (self.sigma[i] * self.sigma[i])
+            if self.driven and self.known[i] > self.P + 1:
+                apart = 0.5 * (e - self.last_e[i]) * (e - self.last_e[i]) / (self.sigma[i] * self.sigma[i])
+                self.noise[i] += self.follow * (min(apart, NOISE_CLIP * max(1.0, self.noise[i])) - self.noise[i])
+            self.last_e[i] = e
             # Gusts that the fitted flights did not have; never below the level of those flights.
             level = max(1.0, self.level[i])
             self.sigma[i] *= sqrt(level)

@@ -84,6 +84,7 @@ class ChangeRun(NamedTuple):
     growth: NDArray[np.float64]
     sd: NDArray[np.float64]
     onset_ns: NDArray[np.int64]  # vehicle time of its onset (n,)
+    noise: NDArray[np.float64]  # variance of each judged output's noise relative to that of healthy flights (n, p)
 
 
 def read_changes(table: Table, outputs: Sequence[str]) -> ChangeRule:
@@ -148,6 +149,14 @@ class ChangeStage:
         self._rate_hz, self._adds, self._partly = rate_hz, bool(added), bool(rule.lasts_s)
         self._u, self._y = np.zeros((1, len(plant.inputs))), np.zeros((1, n))
         self._judged, self._usable = judged, np.zeros((1, len(judged)), np.bool_)
+        # the judged output whose noise is that of a sensor's fault, by the index of the fault
+        self.noisy = {
+            list(inputs).index(fault.name): judged.index(output)
+            for fault in plant.faults
+            if fault.kind == "sensor" and fault.name in rule.lasts_s
+            for output in np.flatnonzero(fault.column).tolist()
+            if output in judged
+        }
 
     def innovations(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Return what the noise is fitted to: innovations (n, p), r and d (n, 2 p), and where they are known (n,)."""
