@@ -242,6 +242,9 @@ def test_an_alarm_that_comes_and_goes_is_latched_until_it_was_quiet_for_long() -
     assert events[4].message.endswith("(it comes and goes)")
     assert events[5].vehicle_time_ms - events[4].vehicle_time_ms > 20_000
     assert len([event for event in run(new_alarm(), burst * 5) if event.state == "raised"]) == 5
+    # a size that passes through zero is that of one fault
+    events = run(new_alarm(rule), (burst + [-size for size in burst]) * 5)
+    assert [event.state for event in events] == ["raised", "cleared"] * 10
 
 
 @given(st.lists(st.floats(-1, 1, allow_nan=False), max_size=400))

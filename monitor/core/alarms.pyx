@@ -30,6 +30,10 @@ cdef double UPDATE_SHARPER = 2.0
 # Two alarms within latch_s may have two causes; with the third the alarm counts as recurring (docs/thresholds.md).
 cdef int RECURRENCES = 3
 
+# A size that leaves through zero and comes back with the other sign within this time is that of one fault: a stuck
+# position that the vehicle passes, say. Chosen: a vehicle at 1 m/s takes 3 s from one threshold of 1.5 m to the other.
+cdef int64_t CROSSED_NS = 4_000_000_000
+
 # Time constants of the two means whose difference gives the slope. Chosen: the slow one as long as the slow path's mean
 # (slow_s of AlarmRule), the quick one a quarter of it; the slope of a ramp is known after WAIT_S + SLOW_S = 3 s.
 cdef double QUICK_S = 0.5
@@ -310,12 +314,13 @@ cdef class AlarmState:
         cdef int i
         self.counter_ns = self.fast_counter_ns = self.unseen_ns = 0
         self.trend.reset()
-        if self.raised_count == RECURRENCES:
-            for i in range(RECURRENCES - 1):
-                self.raised_ns[i] = self.raised_ns[i + 1]
-            self.raised_count -= 1
-        self.raised_ns[self.raised_count] = now
-        self.raised_count += 1
+        if not (self.raised_count and 0 <= now - self.ended_ns <= CROSSED_NS and evidence * self.peak < 0.0):
+            if self.raised_count == RECURRENCES:
+                for i in range(RECURRENCES - 1):
+                    self.raised_ns[i] = self.raised_ns[i + 1]
+                self.raised_count -= 1
+            self.raised_ns[self.raised_count] = now
+            self.raised_count += 1
         self.recurring = self.raised_count == RECURRENCES and 0 <= now - self.raised_ns[0] <= self.latch_ns
         self.active, self.creeping, self.sudden, self.lasts = True, creeping, False, False
         self.critical = fabs(evidence) >= self.critical_size
