@@ -117,10 +117,8 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
         )
 
 
-_USUAL = 0.99
-"""Share of the estimates before an alarm that are usual. Chosen: one outlier in a hundred decides nothing."""
 _BEFORE_S = 10.0
-"""Time before an alarm that is left out of it, seconds: a gyro's bias, the slowest, shows after some 3 s."""
+"""Time before an alarm that may be a part of its cause, seconds: of known faults the slowest shows after 3 s."""
 
 
 def _onset_s(trace: Trace, seen_s: Floats, channel: str, start_s: float) -> float | None:
@@ -136,7 +134,7 @@ def _onset_s(trace: Trace, seen_s: Floats, channel: str, start_s: float) -> floa
     raised = int(np.searchsorted(seen_s, start_s))
     if not len(usual) or raised >= len(sizes):
         return None
-    inside_range = np.flatnonzero(sizes[:raised] <= np.quantile(usual, _USUAL))
+    inside_range = np.flatnonzero(sizes[:raised] <= usual.max())
     first = int(inside_range[-1]) + 1 if len(inside_range) else raised
     return float(seen_s[first]) if first < raised else None
 
