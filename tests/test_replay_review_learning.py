@@ -39,3 +39,11 @@ def test_a_finding_begins_where_its_estimate_left_what_is_usual() -> None:
     raised = Replay(events=(event(1400, "raised"),), traces=(replace(run, isolated=isolated),))
     (alarm,) = _alarms(raised, facts, 5.0)
     assert (alarm.begin_s, alarm.start_s) == (pytest.approx(13.2, abs=0.02), pytest.approx(14.0))
+
+
+def test_the_size_of_an_alarm_is_the_one_that_lasted() -> None:
+    facts = LogFacts("PX4", "multirotor", START_NS, 15.0, (), ((0.0, 15.0),), {})
+    sizes = [(1000, "raised", -0.01), (1001, "updated", -0.02), (1050, "updated", -0.03), (1480, "cleared", 0.0)]
+    events = tuple(event(tick, state, estimate=size) for tick, state, size in sizes)
+    (alarm,) = _alarms(Replay(events=events, traces=(trace(),)), facts, 5.0)
+    assert alarm.size == 0.03

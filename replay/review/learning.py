@@ -96,7 +96,7 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
             # an alarm stays active without evidence (a plane too slow for its surfaces), but does not count as lasting
             # then
             end_s = float(np.max(seen[inside(seen, [(start_s, end_s)])], initial=start_s))
-        typical = _typical(span)
+        typical = _typical(span, facts.start_ns + round(1e9 * end_s))
         peak = max((abs(event.peak) for event in span.history if event.peak is not None), default=0.0)
         threshold = span.history[0].threshold
         if start_s <= until_s or not threshold or typical.estimate is None:
@@ -139,10 +139,13 @@ def _onset_s(trace: Trace, seen_s: Floats, channel: str, start_s: float) -> floa
     return float(seen_s[first]) if first < raised else None
 
 
-def _typical(span: AlarmSpan) -> AlarmEvent:
-    """Return an alarm's event with the middle one of its estimates."""
+def _typical(span: AlarmSpan, end_ns: int) -> AlarmEvent:
+    """Return an alarm's event with the middle one of its estimates over time: one counts until the next."""
     said = [event for event in span.history if event.state in ("raised", "updated")] or list(span.history)
-    return sorted(said, key=lambda event: abs(event.estimate or 0.0))[len(said) // 2]
+    lasted = np.diff([*(event.time_ns for event in said), max(end_ns, said[-1].time_ns + 1)])
+    order = sorted(range(len(said)), key=lambda k: abs(said[k].estimate or 0.0))
+    until = np.cumsum(lasted[order])
+    return said[order[int(np.searchsorted(until, until[-1] / 2))]]
 
 
 def _estimate(traces: Iterable[Trace], alarm: LearnedAlarm, facts: LogFacts) -> LogSignal | None:
