@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -52,7 +52,9 @@ the vehicle's health."""
 _VEHICLES = {"Copter": ("multirotor", 2), "Plane": ("plane", 1), "Rover": ("rover", 10), "ArduSub": (SUBMARINE, 12)}
 """By a word in the log's first texts: the kind of vehicle, and a MAV_TYPE with its modes."""
 _PWM_FROM, _PWM_TO = 1000.0, 2000.0
-"""Defaults of MOT_PWM_MIN and MOT_PWM_MAX, for logs without them."""
+"""Defaults of MOT_PWM_MIN and MOT_PWM_MAX, for logs without parameters."""
+_THROTTLE_CHANNEL = 3
+"""Default of RCMAP_THROTTLE."""
 _MOST_VOLTS = 100.0
 """Largest voltage of a vehicle: before version 3.3 logs have hundredths of volts and amperes."""
 _OUTPUTS = 14
@@ -138,13 +140,27 @@ def output_commands(
     said = {k: records.parameters.get(f"SERVO{k}_FUNCTION") for k in range(1, _OUTPUTS + 1)}
     motors = {k: MOTOR_FUNCTIONS[int(function)] for k, function in said.items() if function in MOTOR_FUNCTIONS}
     numbers = motors or {k: k - 1 for k in range(1, first + 1)}
-    low = records.parameters.get("MOT_PWM_MIN", 0.0) or _PWM_FROM
-    high = records.parameters.get("MOT_PWM_MAX", 0.0) or _PWM_TO
+    low, high = _pulse_range(records.parameters)
     pulses = outputs(list(numbers), [f"motor{index + 1}" for index in numbers.values()])
     during = pulses.values[inside(pulses.time_s, armed)]
     if not motors and not (len(during) and np.ptp(during, axis=0).all()):
         return NO_SIGNAL
     return replace(pulses, values=np.maximum(pulses.values - low, 0.0) / (high - low), unit="of full")
+
+
+def _pulse_range(parameters: Mapping[str, float]) -> tuple[float, float]:
+    """Return the pulses (us) of no and of full command.
+
+    Without MOT_PWM_MIN and MOT_PWM_MAX (before 3.4, or if they are 0) the range is that of the throttle channel, of
+    which versions before 3.3 use MOT_TCRV_MAXPCT percent.
+    """
+    channel = f"RC{parameters.get('RCMAP_THROTTLE', _THROTTLE_CHANNEL):.0f}"
+    low, high = (
+        parameters.get(f"MOT_PWM_{end}") or parameters.get(f"{channel}_{end}") or default
+        for end, default in (("MIN", _PWM_FROM), ("MAX", _PWM_TO))
+    )
+    curve = parameters.get("MOT_TCRV_MAXPCT", 100.0) if parameters.get("MOT_TCRV_ENABLE") else 100.0
+    return low, low + (high - low) * curve / 100.0
 
 
 def _outputs(records: LogRecords, numbers: Sequence[int], names: Sequence[str]) -> LogSignal:

@@ -56,6 +56,8 @@ _BITS = {name: bit for bit, name in enumerate(_FAILURES) if name != "high_wind"}
 another meaning for a while, so the topic's flags take precedence."""
 _CHANGED = "primary EKF changed"
 """Part of PX4's text about the change to another of its estimators, like ArduPilot's error 24."""
+_KILLS = {"manual_lockdown": "kill switch", "kill": "kill switch", "force_failsafe": "termination"}
+"""Fields of actuator_armed that stop all outputs, in words."""
 _ABOUT_THE_LOG = frozenset({2510, 2511})
 """MAV_CMD_LOGGING_START and _STOP: their sender listens, and commands no vehicle."""
 _ARMED = 2
@@ -80,7 +82,9 @@ def px4_facts(records: LogRecords) -> LogFacts:
     signals: dict[str, LogSignal] = {}
     lacks: dict[str, str] = {}
     signals["motors"] = _motors(records, armed, lacks)
-    signals["throttle"] = signals["motors"].each_sample("throttle", np.max)
+    # its thrust points upwards, against the third axis
+    thrust = get("vehicle_attitude_setpoint", ["thrust_body[2]"], ["throttle"], "of full", -1.0)
+    signals["throttle"] = first_known(signals["motors"].each_sample("throttle", np.max), thrust)
     signals["rpm"] = _rpm(records, armed)
     quaternion = [f"q[{k}]" for k in range(4)]
     signals["attitude"] = get("vehicle_attitude", quaternion, quaternion, "").angles_deg()
@@ -130,8 +134,11 @@ def _motors(records: LogRecords, armed: Spans, lacks: dict[str, str]) -> LogSign
     commands = records.signal("actuator_motors", controls, numbers, "of full")
     there: NDArray[np.bool_] = np.asarray(np.isfinite(commands.values).any(axis=0))
     if there.any():
-        # the command of a motor that the autopilot stopped is NaN while the others are not
-        values = np.where(np.isnan(commands.values[:, there]), 0.0, commands.values[:, there])
+        # the command of a motor that the autopilot stopped is NaN while the others are not, and a kill switch stops the
+        # outputs, not the commands
+        off = [records.signal("actuator_armed", [name], [""], "").at(commands.time_s) == 1 for name in _KILLS]
+        stopped = np.isnan(commands.values[:, there]) | np.any(off, axis=0)
+        values = np.where(stopped, 0.0, commands.values[:, there])
         names = tuple(name for name, known in zip(numbers, there, strict=True) if known)
         return LogSignal(commands.time_s, values, names, "of full", "actuator_motors")
     moving: list[LogSignal] = []
@@ -239,7 +246,7 @@ def _statements(records: LogRecords) -> Iterator[Statement]:
         if np.isfinite(control.only).any():
             for at, value in control.changes(np.isnan)[1:]:
                 yield Statement(at, "stopped", f"motor{k + 1}", int(value))
-    for name, text in (("manual_lockdown", "kill switch"), ("kill", "kill switch"), ("force_failsafe", "termination")):
+    for name, text in _KILLS.items():
         for at, value in records.signal("actuator_armed", [name], [name], "").changes():
             if value:
                 yield Statement(at, "kill", text, 1)
