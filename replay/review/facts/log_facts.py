@@ -188,6 +188,11 @@ class LogFacts:
         return sum(end - start for start, end in self.flight)
 
     @property
+    def when(self) -> str:
+        """When findings are looked for: in flight, or while a vehicle that does not fly is armed."""
+        return "in flight" if self.flies else "while armed"
+
+    @property
     def flight_text(self) -> str:
         """Duration of its flight, or for a vehicle that does not fly, of the time armed."""
         return f"{self.flight_s:.0f} s {'of flight' if self.flies else 'armed'}"

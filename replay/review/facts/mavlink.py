@@ -128,8 +128,7 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
     signals["gps"] = get("GPS_RAW_INT", ["fix_type", "satellites_visible"], ["fix", "satellites"], "")
     signals["position"] = get("GPS_RAW_INT", ["lat", "lon", "fix_type"], ["north", "east", "fix"], "").way()
     names = ["velocity", "position", "height"]
-    reports = (get(name, ["flags", *columns], ["flags", *names], "") for name, columns in _ESTIMATORS.items())
-    signals["ratios"] = first_known(*map(_since_estimating, reports))
+    signals["ratios"] = first_known(*(get(name, columns, names, "") for name, columns in _ESTIMATORS.items()))
     vibration = get("VIBRATION", [f"vibration_{axis}" for axis in "xyz"], list("xyz"), "m/s2")
     if autopilot == ARDUPILOT:
         signals["vibration"] = vibration.each_sample("vibration", np.max)
@@ -163,12 +162,6 @@ def _followed(wanted: LogSignal, attitude: LogSignal, flight: Spans) -> bool:
 _NEAR_DEG = 5.0
 """Largest median distance of a followed attitude, degrees. Measured: 0 to 2.6 in 45 recordings of ArduCopter 3.3 to
 4.5; 3.3 to 31.8 in drives, bench runs and tumbles."""
-
-
-def _since_estimating(report: LogSignal) -> LogSignal:
-    """Return an estimator's report from its first flagged estimate on: before that it tests no measurement."""
-    first = int(np.argmax(flagged)) if (flagged := report.only > 0).any() else len(flagged)
-    return replace(report, time_s=report.time_s[first:], values=report.values[first:, 1:], names=report.names[1:])
 
 
 def _vehicle(records: LogRecords) -> tuple[int, int, int]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from replay.review.facts.log_facts import LogFacts, LogSignal
-from replay.review.findings.loss_of_control import FELL_M, spans_in_control, tilts_deg
+from replay.review.findings.loss_of_control import FELL_M, spans_in_control, struck, tilts_deg
 from replay.review.findings.rule import Judgement, Rule
 
 _GRAVITY = 9.81
@@ -17,9 +17,6 @@ is judged, whatever its own error."""
 _LEAST_S = 3.0
 """Shortest time of such a tilt, seconds. Chosen: a vehicle that lacks 0.3 g falls 13 m in it, six times a barometer's
 error when rotors change their speed."""
-_BLOW, _AFTER_S = 8.0 * _GRAVITY, 3.0
-"""Acceleration of a blow, m/s2: half of the range that IMUs usually have. Time after it in which an attitude is its
-consequence, seconds. Chosen: a tumble on the ground ends sooner."""
 _BIAS = 1.0
 """Largest error of the accelerometers of a vehicle that flies, m/s2."""
 
@@ -28,9 +25,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, force: LogSignal, height: LogSi
     leans = tilts_deg(attitude)
     for start, end in spans_in_control(facts, attitude, leans > _LEANS_DEG, _LEAST_S):
         felt, heights = force.during(start, end), height.during(start, end).only
-        if not len(felt.time_s) or not len(heights):
-            continue
-        if np.linalg.norm(force.during(start - _AFTER_S, start).values, axis=1).max(initial=0.0) > _BLOW:
+        if not len(felt.time_s) or not len(heights) or struck(facts, start):
             continue
         roll, pitch = np.radians(attitude.at(felt.time_s)[:, :2].T)
         x, y, z = felt.values.T
@@ -62,7 +57,7 @@ RULE = Rule(
     counter=(
         "a dash that keeps its height is carried by its thrust and drag, at any tilt",
         "a vehicle that lies on its side has accelerometers that say so",
-        f"there was no blow of 8 g in the {_AFTER_S:g} s before: a crash leaves the estimator with a wrong attitude",
+        "there was no blow in the seconds before: a crash leaves the estimator with a wrong attitude",
     ),
     needs=("attitude", "acceleration", "height"),
     plots=("attitude", "acceleration", "height"),

@@ -39,6 +39,10 @@ _UPSIDE_DOWN = 100.0
 _GRAVITY = 9.81
 _ABOUT_S = 1.0
 """Time before an attitude in which an impact belongs to it, seconds: a vehicle that was hit tumbles within a second."""
+_BLOW, _AFTER_S, _RARELY = 8.0 * _GRAVITY, 3.0, 0.01
+"""Acceleration of a blow, m/s2: half of the range that IMUs usually have. Time after it in which an estimator's error
+is its consequence, seconds. Chosen: a tumble on the ground ends sooner. Largest share of a flight with such
+accelerations. Chosen: ten crashes that ring for a tenth of a second are a hundredth of 100 s; more is vibration."""
 _ON_ITS_BACK_S = 0.3
 """Shortest time upside down, seconds. Chosen: a flip takes that long, a tumbling vehicle too; six samples at 20 Hz."""
 
@@ -99,9 +103,19 @@ def undisturbed(facts: LogFacts, start_s: float) -> bool:
     return not on_its_back and blow < 2 * _GRAVITY and abs(fell) < FELL_M
 
 
+def struck(facts: LogFacts, before_s: float) -> bool:
+    """Return whether a blow came in the seconds before a time: it takes an estimator off, not the other way round."""
+    force = facts.signal("acceleration")
+    hard, flown = np.linalg.norm(force.values, axis=1) > _BLOW, facts.in_flight(force.time_s)
+    just = slice(*np.searchsorted(force.time_s, (before_s - _AFTER_S, before_s)))
+    return bool(hard[just].any() and np.count_nonzero(hard & flown) <= _RARELY * np.count_nonzero(flown))
+
+
 def lost_s(facts: LogFacts) -> float:
-    """Return the time of the visible loss of control; the log's end if there was none."""
+    """Return the time of the loss of control, by a kill switch or to be seen; the log's end if there was none."""
+    kills = [said.time_s for said in facts.statements if said.kind == "kill"]
     ends = [start for start, _, _ in stops(facts)] + [start for start, _ in tumbles(facts)]
+    ends += [at for at, flies in zip(kills, facts.in_flight(np.array(kills)), strict=True) if flies]
     return min(ends, default=facts.duration_s)
 
 
