@@ -34,6 +34,10 @@ _LANDING_S = 3.0
 _CARRIED_S = 5.0
 """Length of the compared parts of the flight, seconds. Chosen: as long as an alarm has to last; climbs and turns
 average out in it."""
+_GROUND_S = 10.0
+"""Shortest time on the ground in which a load, a battery or the calibration may be changed, seconds. Chosen: nobody
+reaches a vehicle and leaves it in less. Measured: two gyros of one autopilot drifted apart by 1.1 degrees/s in a flight
+and differed by 1.5 the other way after the next arming."""
 _SATELLITES = 6
 """Fewest satellites: PX4 (EKF2_REQ_NSATS) and ArduPilot (EK3_GPS_CHECK) require at least as many before their
 estimators use GPS."""
@@ -79,6 +83,7 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
             *_still_carried(facts, largest, begin_s, until_s),
             *_few_satellites(facts, largest, until_s),
             *_faster(facts, largest),
+            *_landed_before(facts, largest),
         )
         enough = bool(staying) and largest.share >= _least_share(channels, largest) and not (accurate or doubts)
         # a wrong heading and a wrong turn rate look the same to the other sensors
@@ -147,6 +152,16 @@ def _faster(facts: LogFacts, alarm: LearnedAlarm) -> Iterator[str]:
     now = np.max(pace.during(alarm.start_s - _LEAST_S, alarm.start_s).only, initial=0.0)
     if now > max(FAST_M_S, _FASTER * taught):
         yield f"it flew at {now:.0f} m/s; the begin of the flight, at most {taught:.0f} m/s, teaches nothing about that"
+
+
+def _landed_before(facts: LogFacts, alarm: LearnedAlarm) -> Iterator[str]:
+    """Yield the reason if the vehicle landed for long after it was learned: load and calibration may have changed."""
+    if facts.watch is None:
+        return
+    taught_s = max((end for start, end in facts.flight if start < facts.watch.until_s), default=np.inf)
+    begun_s = max((start for start, _ in facts.flight if start <= alarm.start_s), default=0.0)
+    if begun_s - taught_s > _GROUND_S:
+        yield "it has landed since: load, battery and calibration may be others"
 
 
 def _overlaps(alarms: Sequence[LearnedAlarm], watch: LearnedWatch, channel: str) -> bool:

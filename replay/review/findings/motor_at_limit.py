@@ -20,6 +20,9 @@ _LEAST_S = 1.0
 _STEEP_DEG = 25.0
 """Wanted tilt beyond which a vehicle gathers speed (4.6 m/s2 and more), so that drag and lift turn it as a weak motor
 does. Sticks held at their end demand more (ArduPilot's ANGLE_MAX 30 degrees, PX4's MPC_MAN_TILT_MAX 35)."""
+_LIMITS, _NEARLY = {"ANGLE_MAX": 100.0, "MPC_TILTMAX_AIR": 1.0, "MPC_MAN_TILT_MAX": 1.0}, 0.99
+"""Parameters of the largest wanted tilt, with their parts of a degree, and the share of it that is as much: a vehicle
+that wants no less is against the wind or at full stick. The share allows for a hundredth of rounding."""
 _TURN_DEG, _TURN_S = 60.0, 1.0
 """Largest turn about the vertical that autopilots command, degrees in a second (ArduPilot's ATC_SLEW_YAW 60 degrees/s,
 PX4's MPC_YAWRAUTO_MAX 60): a faster turn is commanded by sticks or is a spin, and takes its motors to their limits."""
@@ -29,7 +32,8 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
     if len(motors.names) < 4:
         return
     # in a dash the air turns the vehicle, too
-    dashes = (np.abs(facts.signal("attitude_wanted").at(motors.time_s)[:, :2]) > _STEEP_DEG).any(axis=1)
+    steep = min(_STEEP_DEG, *(facts.parameters.get(name, np.inf) / unit for name, unit in _LIMITS.items()))
+    dashes = (np.abs(facts.signal("attitude_wanted").at(motors.time_s)[:, :2]) > _NEARLY * steep).any(axis=1)
     dashes |= speed(facts).at(motors.time_s)[:, 0] > FAST_M_S
     for k, name in enumerate(motors.names):
         others, own = np.delete(motors.values, k, axis=1), motors.values[:, k]
@@ -68,8 +72,8 @@ RULE = Rule(
         "a hard climb raises all motors; a turn in yaw, or contact with an obstacle, raises the two that turn the same "
         "way: here no other motor was nearer to this one than to the rest",
         f"the vehicle had yawed by no more than {_TURN_DEG:g} degrees in the second before",
-        f"no more than {_STEEP_DEG:g} degrees of tilt were wanted, and GPS speed was no more than {FAST_M_S:g} m/s: in "
-        "a dash the air turns the vehicle too",
+        f"no more than {_STEEP_DEG:g} degrees of tilt, and less than the autopilot's limit, were wanted, and GPS speed "
+        f"was no more than {FAST_M_S:g} m/s: in a dash the air turns the vehicle too",
     ),
     needs=("motors",),
     plots=("motors", "attitude", "rpm"),
