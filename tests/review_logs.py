@@ -73,7 +73,7 @@ _TOPICS = {
     "esc_report": "uint64_t timestamp;int32_t esc_rpm",
     "esc_status": "uint64_t timestamp;uint8_t esc_count;esc_report[8] esc",
     "vehicle_attitude": "uint64_t timestamp;float[4] q",
-    "vehicle_attitude_setpoint": "uint64_t timestamp;float[4] q_d",
+    "vehicle_attitude_setpoint": "uint64_t timestamp;float[4] q_d;float[3] thrust_body",
     "vehicle_air_data": "uint64_t timestamp;float baro_alt_meter",
     "vehicle_local_position": "uint64_t timestamp;float z;float vz;float[2] delta_xy;float delta_z;"
     "float[2] delta_vxy;float delta_vz;uint8_t xy_reset_counter;uint8_t z_reset_counter;"
@@ -124,6 +124,11 @@ def _turned(roll_deg: float, yaw_deg: float = 0.0) -> list[float]:
     return [cos(roll) * cos(yaw), sin(roll) * cos(yaw), sin(roll) * sin(yaw), cos(roll) * sin(yaw)]
 
 
+def _noisy(flight: Flight, at: float) -> float:
+    """Return the ratio of an innovation, which differs from one measurement to the next."""
+    return flight.ratio(at) + 0.01 * (at % 0.7)
+
+
 def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
     count = flight.resets(at)
     topics: dict[str, dict[str, object]] = {
@@ -138,7 +143,10 @@ def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
         "actuator_armed": {"manual_lockdown": flight.killed(at)},
         "actuator_motors": {"control": flight.motors(at) + [float("nan")] * 8},
         "vehicle_attitude": {"q": _turned(flight.tilt_deg(at), flight.yaw_deg(at))},
-        "vehicle_attitude_setpoint": {"q_d": _turned(flight.tilt_wanted_deg(at))},
+        "vehicle_attitude_setpoint": {
+            "q_d": _turned(flight.tilt_wanted_deg(at)),
+            "thrust_body": [0.0, 0.0, -max(flight.motors(at))],
+        },
         "vehicle_air_data": {"baro_alt_meter": 200.0 + flight.height(at)},
         "vehicle_local_position": {
             "z": -flight.height(at),
@@ -161,7 +169,7 @@ def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
             "satellites_used": 4 * flight.fix(at),
         },
         "estimator_status_flags": {"cs_gps": flight.gps_used},
-        "estimator_status": {"vel_test_ratio": 0.1, "pos_test_ratio": flight.ratio(at), "hgt_test_ratio": 0.1},
+        "estimator_status": {"vel_test_ratio": 0.1, "pos_test_ratio": _noisy(flight, at), "hgt_test_ratio": 0.1},
         "vehicle_imu_status": {
             "accel_clipping": [0, 0, flight.clipped(at)],
             "accel_vibration_metric": flight.vibration(at),
@@ -200,6 +208,8 @@ def ardupilot_log(
     log.add("MSG", BEGIN_US, "ArduCopter V4.5.7")
     for number in range(1, 5):
         log.add("PARM", BEGIN_US, f"SERVO{number}_FUNCTION", 32.0 + number)
+    for name, value in flight.parameters.items():
+        log.add("PARM", BEGIN_US, name, value)
     log.add("MODE", BEGIN_US, 5, 5, 1)
     was = (False, landed_at_begin)
     faults = sorted(errors)
@@ -221,7 +231,7 @@ def ardupilot_log(
         log.add("BARO", stamp, 0, flight.height(at))
         log.add("BAT", stamp, 0, flight.volts(at), 12.0)
         log.add("GPS", stamp, 0, flight.fix(at), 4 * flight.fix(at), flight.gps_used)
-        log.add("XKF4", stamp, 0, 0.1, flight.ratio(at), 0.1)
+        log.add("XKF4", stamp, 0, 0.1, _noisy(flight, at), 0.1)
         for lane in range(2):
             log.add("XKF1", stamp, lane, flight.north_m(at) + 8.0 * lane, 0.0)
         log.add("PSCN", stamp, 0.0, flight.north_m(at) + flight.altered_m(at))

@@ -127,6 +127,12 @@ LOOK_ALIKES: dict[str, Flight] = {
         tilt_deg=between(30.2, 33.2, 29.0, 0.0),
         tilt_wanted_deg=between(30.0, 33.0, 29.0, 0.0),
     ),
+    "a flight against the wind at the greatest tilt that the autopilot wants": Flight(
+        motors=one_motor(4, 1.0, 30.5, 33.0),
+        tilt_deg=between(30.2, 33.2, 20.0, 0.0),
+        tilt_wanted_deg=between(30.0, 33.0, 20.0, 0.0),
+        parameters={"MPC_TILTMAX_AIR": 20.0},
+    ),
     "a dash at little tilt": Flight(motors=one_motor(4, 1.0, 30.5, 33.0), north_m=lambda at: 20.0 * at),
     "a vehicle that leans against a wall": Flight(
         motors=lambda at: [0.36, 0.34, 0.95, 0.80] if 30.0 <= at < 41.0 else usual_motors(at)
@@ -159,8 +165,15 @@ LOOK_ALIKES: dict[str, Flight] = {
     "an updraft": Flight(
         climb_wanted=between(30.0, 32.0, -1.5, 0.0), height=lambda at: usual_height(at) + min(max(at - 30, 0), 2)
     ),
+    "what follows a kill switch near the ground": Flight(
+        killed=lambda at: at >= 53.0, resets=lambda at: 1 + (at > 53.5)
+    ),
     "a fast turn at full sticks": Flight(
         tilt_wanted_deg=between(30.0, 33.0, 60.0, 0.0), tilt_deg=between(30.3, 33.3, 60.0, 0.0)
+    ),
+    "turn rates that are wanted in place of an attitude": Flight(
+        tilt_deg=between(30.0, 32.0, 50.0, 0.0),
+        others=lambda at: {"vehicle_attitude_setpoint": None} if 29.0 <= at < 33.0 else {},
     ),
     "sticks that move on the ground": Flight(
         height=lambda _: 0.2, tilt_wanted_deg=between(30.0, 33.0, 45.0, 0.0), tilt_deg=lambda _: 1.0
@@ -408,6 +421,7 @@ def watched(
     then: Sequence[float] = (0.5,) * 4,
     gps: Sequence[int] = (3, 12),
     fast_m_s: Sequence[float] = (0.0, 0.0),
+    flight: Sequence[tuple[float, float]] = ((1.0, 58.0),),
 ) -> LogReview:
     """Return the verdict on a flight of which a learned profile speaks; ``then`` and ``gps`` are so from 25 s on.
 
@@ -428,7 +442,7 @@ def watched(
         start_ns=0,
         duration_s=60.0,
         armed=((0.0, 60.0),),
-        flight=((1.0, 58.0),),
+        flight=tuple(flight),
         signals={
             "motors": motors,
             "throttle": motors,
@@ -512,6 +526,14 @@ def test_motors_are_not_judged_at_speeds_that_the_begin_did_not_have(fast_m_s: S
     (found,) = watched(LEARNED["actuator_effect"], fast_m_s=fast_m_s).findings
     assert found.judgement.weight == weight
     assert any("22 m/s" in line for line in found.counter) is (weight == "information")
+
+
+@pytest.mark.parametrize(("again_s", "weight"), [(25.0, "warning"), (33.0, "information")])
+def test_what_was_learned_may_not_hold_after_a_landing(again_s: float, weight: str) -> None:
+    alarm = replace(LEARNED["sensor_effect"], start_s=35.0, end_s=60.0)
+    (found,) = watched(alarm, flight=((1.0, 22.0), (again_s, 58.0))).findings
+    assert found.judgement.weight == weight
+    assert any("landed since" in line for line in found.counter) is (weight == "information")
 
 
 @pytest.mark.parametrize(("fast_m_s", "weight"), [(5.0, "warning"), (25.0, "information")])
@@ -675,10 +697,20 @@ def test_a_flight_that_begins_while_the_link_is_lost_is_one(tmp_path: Path) -> N
     assert review.facts.flight == (pytest.approx((20.0, 53.5), abs=0.3),)
 
 
-@pytest.mark.parametrize(("flags", "found"), [(831, ["innovations_refused"]), (0, [])])
-def test_an_estimator_that_estimates_nothing_refuses_nothing(flags: int, found: list[str], tmp_path: Path) -> None:
-    """A rover's reports hold one value from boot on where its Kalman filter does not run."""
-    log = telemetry(tmp_path / "flight.tlog", Flight(), estimator=lambda _: (flags, 2.12))
+@pytest.mark.parametrize(
+    ("ratio", "found"),
+    [
+        (lambda at: 2.0 + 0.1 * (at % 0.7), ["innovations_refused"]),
+        (lambda _: 2.12, []),
+        (lambda at: 1.0 + (at > 20.0) + (at > 40.0), []),
+    ],
+    ids=["an innovation", "a Kalman filter that does not run", "a gear"],
+)
+def test_what_does_not_change_with_measurements_is_no_innovation(
+    ratio: Callable[[float], float], found: list[str], tmp_path: Path
+) -> None:
+    """A rover's reports hold one value from boot on, another's the gear that it drives in."""
+    log = telemetry(tmp_path / "flight.tlog", Flight(), estimator=lambda at: (831, ratio(at)))
     assert names(rules_on(log)) == found
 
 
@@ -704,6 +736,14 @@ def test_motors_of_a_vtol_may_stand_in_the_air(suffix: str, tmp_path: Path) -> N
     review = rules_on((px4_log if suffix == "ulg" else telemetry)(tmp_path / f"flight.{suffix}", flight))
     assert names(review) == []
     assert review.unjudged["One motor commanded to stop"] == "for multirotors alone; the vehicle is a VTOL"
+
+
+def test_a_rover_loses_its_fix_while_it_is_armed() -> None:
+    times = np.arange(60.0)
+    fixes = np.stack([np.where((times > 20.0) & (times < 30.0), 1.0, 3.0), np.full(60, 9.0)], axis=1)
+    gps = LogSignal(times, fixes, ("fix", "satellites"), "", "GPS")
+    facts = LogFacts("ArduPilot", "rover", 0, 60.0, ((0.0, 60.0),), ((0.0, 60.0),), {"gps": gps})
+    assert "GPS lost its fix for 9.0 s while armed" in judged(Path("rover.tlog"), facts).sentence
 
 
 def test_a_rover_may_be_disarmed_by_anybody() -> None:
@@ -809,6 +849,40 @@ def test_outputs_of_old_versions_are_motors_too(output: str, tmp_path: Path) -> 
     flight = replace(CASES["motor_at_limit"], rpm=None)
     review = rules_on(ardupilot_log(tmp_path / "flight.bin", flight, output=output))
     assert names(review) == ["motor_at_limit"]
+
+
+def test_full_command_of_old_versions_is_a_part_of_the_throttle_channels_range(tmp_path: Path) -> None:
+    """A motor at 1850 us, 93 % of 1113 to 1906, had failed, and nothing was at full command."""
+    range_of = {"RC3_MIN": 1113.0, "RC3_MAX": 1906.0, "MOT_TCRV_ENABLE": 1.0, "MOT_TCRV_MAXPCT": 93.0}
+    flight = replace(CASES["motor_at_limit"], motors=one_motor(3, 0.85, 30.0, 32.0), parameters=range_of)
+    assert names(rules_on(ardupilot_log(tmp_path / "flight.bin", flight, output="Chan"))) == ["motor_at_limit"]
+
+
+def test_a_kill_switch_stops_motors_whatever_is_commanded(tmp_path: Path) -> None:
+    flight = Flight(height=fallen, killed=lambda at: at >= FALLS_S)
+    assert names(rules_on(px4_log(tmp_path / "flight.ulg", flight))) == ["motors_stopped_in_air"]
+
+
+@pytest.mark.parametrize(
+    ("blow", "found"),
+    [(slice(0, 0), True), (slice(290, 292), False), (slice(0, 600), True)],
+    ids=["none", "a blow", "vibration"],
+)
+def test_what_an_estimator_refuses_after_a_blow_is_its_consequence(blow: slice, found: bool) -> None:
+    times = np.arange(600) / 10
+    ratio = np.where((times >= 30.0) & (times < 33.0), 2.0, 0.1) + 0.01 * (times % 0.7)
+    ratios = LogSignal(times, np.stack([ratio] * 3, axis=1), ("velocity", "position", "height"), "", "ratios")
+    force = LogSignal(times, np.tile([0.0, 0.0, -9.81], (600, 1)), ("x", "y", "z"), "m/s2", "accelerometer")
+    force.values[blow] = 100.0
+    signals = {"ratios": ratios, "acceleration": force}
+    facts = LogFacts("PX4", "multirotor", 0, 60.0, ((0.0, 60.0),), ((0.0, 60.0),), signals)
+    assert judged(Path("flight.ulg"), facts).wrong is found
+
+
+@pytest.mark.parametrize("name", ["attitude_not_followed", "turned_over"])
+def test_a_log_without_outputs_has_the_thrust_that_was_wanted(name: str, tmp_path: Path) -> None:
+    flight = replace(CASES[name], others=lambda _: {"actuator_motors": None})
+    assert name in names(rules_on(px4_log(tmp_path / "flight.ulg", flight)))
 
 
 def test_on_the_ground_with_idle_motors_nothing_is_judged(tmp_path: Path) -> None:

@@ -81,8 +81,6 @@ MOTION = (
 WANTED = ("delta_roll", "delta_pitch", "delta_yaw", "delta_z", "field.aspd_error", "field.alt_error")
 TICK = 8
 """Samples of a tick of the Kalman filters: as often as accelerations come (2.5 Hz)."""
-LEARN_S = 60.0
-"""Time over which recursive least squares forget: twice the parameters of the model in ticks, and five times more."""
 FADE_S = 2.0
 """Time over which those filters forget: the published mean delay."""
 MERGE_S = 10.0
@@ -200,61 +198,28 @@ def glr(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
 def kalman_bank(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
     """Largest bias, in standard deviations, that a bank of Kalman filters estimates, one filter for each signal.
 
-    The model is that of least squares over healthy flight (:func:`_ticks`). In each filter one of the motions has a
-    wandering bias.
+    The model is that of least squares over healthy flight: rates, accelerations and climb after a tick of 0.4 s by
+    themselves and by what the autopilot wants in vain, its inputs. In each filter one of them has a wandering bias.
     """
     scale = Scale.of(training)
-    rows = [_ticks(scale, flight.healthy) for flight in training if len(flight.healthy) > 2 * TICK]
+    known, given = ([SIGNALS.index(name) for name in names] for names in (MOTION, WANTED))
+
+    def ticks(values: Floats) -> tuple[Floats, Floats]:
+        means = running_mean(scale.scaled(values), TICK)[TICK - 1 :: TICK]
+        return np.hstack([means[:-1][:, known + given], np.ones((len(means) - 1, 1))]), means[1:, known]
+
+    rows = [ticks(flight.healthy) for flight in training if len(flight.healthy) > 2 * TICK]
     before, after = (np.concatenate(part) for part in zip(*rows, strict=True))
     model = np.linalg.lstsq(before, after, rcond=None)[0]
     noise = np.cov((after - before @ model).T)
 
     def score(values: Floats) -> Floats:
-        before, after = _ticks(scale, values)
-        return _held(biases(after - before @ model, noise, TICK / HZ / FADE_S), len(values))
+        before, after = ticks(values)
+        most = biases(after - before @ model, noise, TICK / HZ / FADE_S)
+        held = np.concatenate([np.zeros(2 * TICK - 1), np.repeat(most, TICK)])
+        return np.asarray(np.pad(held, (0, max(len(values) - len(held), 0)), mode="edge")[: len(values)])
 
     return score
-
-
-def recursive_least_squares(training: Sequence[Flight]) -> Callable[[Floats], Floats]:
-    """Largest error, in its own deviations, of what is learned within the flight itself.
-
-    The principle of the published method (Keipour et al.) on what the set has: motions are predicted by a model that
-    recursive least squares learn as the flight goes on (:func:`_ticks`).
-    """
-    scale = Scale.of(training)
-    keep = 1.0 - TICK / HZ / LEARN_S
-
-    def score(values: Floats) -> Floats:
-        before, after = _ticks(scale, values)
-        model, spread = np.zeros((before.shape[1], after.shape[1])), 100.0 * np.eye(before.shape[1])
-        usual, scores = np.ones(after.shape[1]), np.zeros(len(after))
-        for row, (given, found) in enumerate(zip(before, after, strict=True)):
-            off = found - given @ model
-            scores[row] = np.max(np.abs(off) / np.sqrt(usual))
-            gain = spread @ given / (keep + given @ spread @ given)
-            model += np.outer(gain, off)
-            spread = (spread - np.outer(gain, given @ spread)) / keep
-            usual = keep * usual + (1.0 - keep) * np.square(off)
-        return _held(scores, len(values))
-
-    return score
-
-
-def _ticks(scale: Scale, values: Floats) -> tuple[Floats, Floats]:
-    """Return motions at ticks of 0.4 s, and what they are predicted by.
-
-    That is motions and what the autopilot wants in vain a tick before, and 1.
-    """
-    known, given = ([SIGNALS.index(name) for name in names] for names in (MOTION, WANTED))
-    means = running_mean(scale.scaled(values), TICK)[TICK - 1 :: TICK]
-    return np.hstack([means[:-1][:, known + given], np.ones((len(means) - 1, 1))]), means[1:, known]
-
-
-def _held(scores: Floats, count: int) -> Floats:
-    """Return the scores of ticks, from the second one on, at so many samples."""
-    held = np.concatenate([np.zeros(2 * TICK - 1), np.repeat(scores, TICK)])
-    return np.asarray(np.pad(held, (0, max(count - len(held), 0)), mode="edge")[:count])
 
 
 def biases(innovations: Floats, noise: Floats, gain: float) -> Floats:
@@ -376,7 +341,6 @@ def shift(values: Floats) -> Floats:
 
 DETECTORS: dict[str, Detector] = {
     "fauio": fauio, "residual energy": residual_energy, "CUSUM": cusum, "GLR": glr, "Kalman bank": kalman_bank,
-    "RLS": recursive_least_squares,
 }  # fmt: skip
 
 
@@ -417,38 +381,20 @@ class Outcome:
     healthy_s: float
 
 
-Scores = dict[str, list[tuple[Flight, Floats]]]
-"""Flights of each log with the scores of a detector that does not know that log."""
-
-
-def left_out(flights: Sequence[Flight], detector: Detector) -> Scores:
-    """Return the scores of each flight by a detector that learned from the other logs."""
-    scores: Scores = {}
-    for log in sorted({flight.log for flight in flights}):
-        score = detector([flight for flight in flights if flight.log != log])
-        scores[log] = [(flight, score(flight.values)) for flight in flights if flight.log == log]
-    return scores
-
-
-def precision_recall_area(scores: Scores) -> float:
-    """Return the area under the curve of precision by recall, over samples; a sample after a failure counts as such."""
-    settled = round(SETTLE_S * HZ)
-    every = [one for own in scores.values() for one in own]
-    joined = np.concatenate([one[settled:] for _, one in every])
-    failed = np.concatenate([np.arange(settled, len(one)) >= flight.onset for flight, one in every])
-    in_order = failed[np.argsort(-joined, kind="stable")]
-    precision = np.cumsum(in_order) / np.arange(1, len(in_order) + 1)
-    return float(precision[in_order].mean())
-
-
-def leave_one_out(scores: Scores, per_hour: float) -> list[Outcome]:
+def leave_one_out(flights: Sequence[Flight], detector: Detector, per_hour: float) -> list[Outcome]:
     """Return what becomes of each flight, with all else from the other logs."""
-    healthy = {log: [one[: flight.onset] for flight, one in own] for log, own in scores.items()}
+    logs = {flight.log: [one for one in flights if one.log == flight.log] for flight in flights}
+    scores: dict[str, list[Floats]] = {}
+    healthy: dict[str, list[Floats]] = {}
+    for log, own in sorted(logs.items()):
+        score = detector([flight for flight in flights if flight.log != log])
+        scores[log] = [score(flight.values) for flight in own]
+        healthy[log] = [one[: flight.onset] for one, flight in zip(scores[log], own, strict=True)]
     outcomes = []
-    for log, own in scores.items():
+    for log, own in sorted(logs.items()):
         # a detector knows what it learned from: healthy flight is scored by one that does not know it
-        threshold = threshold_for([one for other in scores if other != log for one in healthy[other]], per_hour)
-        for flight, one in own:
+        threshold = threshold_for([one for other in logs if other != log for one in healthy[other]], per_hour)
+        for flight, one in zip(own, scores[log], strict=True):
             spans = alarms(one, threshold)
             after = [start for start, _ in spans if start >= flight.onset]
             failed = flight.onset < len(flight.values)
@@ -518,15 +464,14 @@ def main(words: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"{args.folder}: holds no carbonZ_*.csv; give the folder 'failures' of the set\n")
         return 2
     for name, detector in DETECTORS.items():
-        scores = left_out(flights, detector)
-        outcomes = leave_one_out(scores, args.per_hour)
+        outcomes = leave_one_out(flights, detector, args.per_hour)
         kinds = sorted({one.kind for one in outcomes if one.failed})
         figures = {"all": summary(outcomes)}
         figures |= {kind: summary([one for one in outcomes if one.kind == kind]) for kind in kinds}
         if args.json:
-            sys.stdout.write(json.dumps({"detector": name, "auprc": precision_recall_area(scores), **figures}) + "\n")
+            sys.stdout.write(json.dumps({"detector": name, **figures}) + "\n")
             continue
-        sys.stdout.write(f"{name}: area under precision by recall {precision_recall_area(scores):.2f}\n")
+        sys.stdout.write(f"{name}\n")
         for kind, one in figures.items():
             mean, longest = one["mean_delay_s"], one["longest_delay_s"]
             delay = "-" if mean is None else f"{mean:.2f} s (median {one['median_delay_s']:.2f}, longest {longest:.1f})"

@@ -207,11 +207,6 @@ def mean_command(normal: Sequence[Flight], flight: Flight) -> Floats:
     return np.asarray(flight.hover() - np.mean([other.hover() for other in normal], axis=0))
 
 
-def residual_energy(normal: Sequence[Flight], flight: Flight) -> Floats:
-    """Mean square of each motor's command, in deviations from normal."""
-    return np.asarray(np.square(_scaled(normal, flight)).mean(axis=0))
-
-
 def cusum(normal: Sequence[Flight], flight: Flight) -> Floats:
     """Largest cumulative sum of each motor's command above normal, with a drift of half a deviation."""
     sums, most = np.zeros(4), np.zeros(4)
@@ -309,10 +304,7 @@ def main() -> int:
         print(f"crazypad: {options.folder} holds no E8_log00 and so on; give data/controller_data", file=sys.stderr)
         return 2
     flights = [read_flight(path) for path in paths]
-    rivals = {
-        "mean command": mean_command, "residual energy": residual_energy, "GLR": glr, "CUSUM": cusum,
-        "Kalman bank": kalman,
-    }  # fmt: skip
+    rivals = {"mean command": mean_command, "GLR": glr, "CUSUM": cusum, "Kalman bank": kalman}
     detectors = {
         "fauio": named_by_profile,
         "its estimates": named_by_size,

@@ -53,7 +53,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     if flood_s is not None:
         yield Judgement(
             span=(flood_s, flood_s + 1.0),
-            text=f"up to {watch.most} commands a second reached the vehicle in flight",
+            text=f"up to {watch.most} commands a second reached the vehicle {facts.when}",
             evidence=(f"more than {FLOOD} commands within a second, from {flood_s:.2f} s on",),
             confidence="certain",
         )

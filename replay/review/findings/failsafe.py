@@ -13,9 +13,6 @@ from replay.review.findings.rule import Judgement, Rule
 _LATER_S = 1.0
 """Time after a loss of control in which failsafes count, seconds. Chosen: the slowest statements of state come once a
 second; a later failsafe is caused by the fall itself."""
-_CHECKED_S = 5.0
-"""Time after a flight in which a crash detection counts, seconds. Chosen: a crash check waits until a vehicle has lain
-for 2 s (ArduPilot's CRASH_CHECK_TRIGGER_SEC), and its landing detector takes as long to end the flight."""
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
@@ -23,7 +20,9 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     said = [one for one in facts.statements if one.kind == "failsafe" and one.level and one.time_s < end_s]
     times_s = np.array([one.time_s for one in said])
     crashed = np.array(["crash" in one.text.lower() for one in said], bool)
-    flown = facts.in_flight(times_s) | crashed & inside(times_s, [(end, end + _CHECKED_S) for _, end in facts.flight])
+    # a crash check disarms a vehicle that has lain for a while
+    lain = [(end, until + _LATER_S) for _, end in facts.flight for start, until in facts.armed if start < end <= until]
+    flown = facts.in_flight(times_s) | crashed & inside(times_s, lain)
     for text in dict.fromkeys(one.text for one in said):
         times = [one.time_s for one, flies in zip(said, flown.tolist(), strict=True) if flies and one.text == text]
         if not times:

@@ -20,7 +20,7 @@ def _judge(facts: LogFacts, gps: LogSignal) -> Iterator[Judgement]:
         fewest = int(gps.during(start, end).values[:, 1].min())
         yield Judgement(
             span=(start, end),
-            text=f"GPS lost its fix for {end - start:.1f} s in flight, with {fewest} satellites",
+            text=f"GPS lost its fix for {end - start:.1f} s {facts.when}, with {fewest} satellites",
             evidence=(f"{gps.origin}: fix below 3 from {start:.1f} to {end:.1f} s, {fewest} satellites at least",),
             confidence="certain",
         )
