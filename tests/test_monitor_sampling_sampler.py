@@ -677,3 +677,15 @@ def test_rates_that_stand_still_are_lost_and_commands_where_wings_never_carry(
             feed(both, [message("B", t, **{c.name: value for c in commands})])
             feed(both, [message("A", t, **{c.name: value for c in rates})])
         assert both.still == found
+
+
+def test_no_line_joins_frozen_values_to_those_that_come_after_them() -> None:
+    rates = [Channel(f"rate{k}", "A", (f"rate{k}",)) for k in range(3)]
+    to = Sampler([], rates, 100.0, VehicleClock(), restless=True)
+    values = [*np.sin(np.arange(50) / 5.0), *[0.5] * 150, *(5.0 + 0.01 * np.sin(np.arange(50)))]
+    given = []
+    for k, value in enumerate(values):
+        given += feed(to, [message("A", 20_000 * k, **{rate.name: float(value) for rate in rates})])
+    assert all(one.y[0] < 1.1 or one.y[0] > 4.9 for one in given)
+    (again,) = [one for one in given if one.restart and one.y[0] > 1.1]
+    assert again.vehicle_time_ns >= 4_000_000_000

@@ -1263,7 +1263,10 @@ cdef class SamplerCore:
                 clock.register(stream.channel.message, "turns", received)
         elif clockless or self.believe(stream, stamp, received, row):
             self.follow_clock()
-            self._restarting |= stream.compare(stamp, row)
+            if stream.compare(stamp, row):
+                # Nothing between frozen values and these is known: no line joins them.
+                self.skip_to(stamp)
+                self._restarting = True
             if not clockless and stream.senders.take(stamp, received, row):
                 clock.register(stream.channel.message, "turns", received)
             if not clockless and stream.pace.take(stamp, received):
