@@ -499,6 +499,19 @@ def test_an_alarm_of_what_was_learned_may_be_the_flight_itself(alarm: LearnedAla
     assert names(watched(alarm)) == []
 
 
+def test_what_is_broken_in_every_turn_is_a_finding_although_each_alarm_ends() -> None:
+    steering = replace(LEARNED["actuator_effect"], channel="steering", end_s=31.0)
+    often = [replace(steering, start_s=25.0 + 8 * k, end_s=31.0 + 8 * k) for k in range(3)]
+    assert names(watched(*often, vehicle="rover")) == ["actuator_effect"]
+    assert names(watched(*often[:2], vehicle="rover")) == []
+
+
+def test_most_motors_at_once_are_no_motors_fault() -> None:
+    alarms = [replace(LEARNED["actuator_effect"], channel=f"motor{k}") for k in range(1, 4)]
+    assert names(watched(*alarms)) == []
+    assert len(names(watched(*alarms[:2]))) == 2
+
+
 def test_an_alarm_that_ended_by_itself_is_information() -> None:
     review = watched(replace(LEARNED["actuator_effect"], end_s=36.0))
     assert [(one.rule.name, one.judgement.weight) for one in review.findings] == [("actuator_effect", "information")]

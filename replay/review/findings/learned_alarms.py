@@ -19,6 +19,8 @@ _PASSING_S = 12.0
 40 real flights (public logs of ArduPilot): without other signs of a fault, seven alarms of motors and GPS velocities
 end after 6 to 11 s, those of GPS velocities because the observer holds a jump for 10 s. Alarms of faults last as
 long as the fault."""
+_TURNS = 3
+"""Alarms of one surface or of the steering that are no coincidence. Chosen: a gust or a kerb is not met three times."""
 _POSITIONS = ("gps_north", "gps_east", "gps_down")
 _ACCURACY_M = 2.5
 """Metres that half of a receiver's errors exceed (data sheet of u-blox's M8): a smaller error is no fault. Measured: a
@@ -73,7 +75,9 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
         )
     for channel in dict.fromkeys(alarm.channel for alarm in sound):
         every = [alarm for alarm in sound if alarm.channel == channel]
-        staying = [alarm for alarm in every if _stays(alarm, facts, end_s)]
+        # what a vehicle turns with is seen only while it turns: broken, it is seen in every turn
+        turns = facts.vehicle != "multirotor" and len(every) >= _TURNS
+        staying = [alarm for alarm in every if turns or _stays(alarm, facts, end_s)]
         own = staying or every
         largest = max(own, key=lambda alarm: alarm.share)
         until_s = _until_s(largest, facts, end_s)
@@ -81,6 +85,7 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
         accurate = channel in _POSITIONS and largest.size < _ACCURACY_M + _DELAY_S * fastest
         doubts = (
             *_still_carried(facts, largest, begin_s, until_s),
+            *_all_motors(facts, largest, sound),
             *_few_satellites(facts, largest, until_s),
             *_faster(facts, largest),
             *_landed_before(facts, largest),
@@ -133,6 +138,18 @@ def _still_carried(facts: LogFacts, alarm: LearnedAlarm, begin_s: float, end_s: 
     if lacking > np.ptp(lift[:-1] / np.median(lift[:-1])) and now > 1.0 - lacking / 2:
         lifted = f"{100 * now:.0f} % of before at these commands, not {100 - 100 * lacking:.0f} %"
         yield f"the motors together lift {lifted}: something from outside turns the vehicle"
+
+
+def _all_motors(facts: LogFacts, alarm: LearnedAlarm, sound: Sequence[LearnedAlarm]) -> Iterator[str]:
+    """Yield the reason if most motors have an alarm at the same time, which none of them explains alone."""
+    count = len(facts.signal("motors").names)
+    motors = {
+        other.channel
+        for other in sound
+        if other.channel.startswith("motor") and alarm.start_s < other.end_s and other.start_s < alarm.end_s
+    }
+    if alarm.channel.startswith("motor") and len(motors) > count / 2 >= 2:
+        yield f"{len(motors)} of {count} motors have such an alarm at the same time: the cause is not one motor"
 
 
 def _few_satellites(facts: LogFacts, alarm: LearnedAlarm, end_s: float) -> Iterator[str]:
