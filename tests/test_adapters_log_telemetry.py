@@ -184,6 +184,14 @@ def test_a_value_that_stands_for_nothing_makes_no_message() -> None:
     assert states == [("HEARTBEAT", 1), ("HEARTBEAT", 129), ("EXTENDED_SYS_STATE", 2), ("HEARTBEAT", 1)]
 
 
+def test_an_imu_of_old_ardupilot_whose_temperature_has_another_name_is_one() -> None:
+    axes = {f"{kind}{axis}": 1.0 for kind in ("Gyr", "Acc") for axis in "XYZ"}
+    imu = [Message(DATAFLASH, "IMU", 20 * n * MS, {"TimeUS": 20_000 * n, **axes, "Temp": 25.0}) for n in range(3)]
+    found = run(imu, builtin_mapping("dataflash"), ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU"))
+    assert {(m.name, m.fields["zacc"]) for m in found} >= {("HIGHRES_IMU", 1.0)}
+    assert len(found) == 9
+
+
 def test_an_ardupilot_that_may_have_landed_is_landing_at_its_height_above_home() -> None:
     events = [Message(DATAFLASH, "EV", 50 * n * MS, {"TimeUS": n, "Id": event}) for n, event in enumerate((28, 17, 18))]
     height = Message(

@@ -438,7 +438,8 @@ def _slow(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
     commands_hz = drive.rate_hz
     calm = commands_hz >= SLOW_COMMANDS_HZ and request.rate_hz is None
     named = f"{drive.called} come at {commands_hz:.3g} Hz"
-    why = "too few manoeuvres to know what motors do in tenths of a second" if calm else named
+    calmly = "too few manoeuvres to know what motors do in tenths of a second (fly brisk roll and pitch for that)"
+    why = calmly if calm else named
     why = "beside the faster observer" if drive.observer == TRIM else why
     commands_hz = min(commands_hz, _CALM_HZ) if calm else commands_hz
     rates = tuple(outputs[: len(RATE_AXES)])
