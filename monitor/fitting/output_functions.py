@@ -38,6 +38,8 @@ is asked for more, PX4 sends over a link only the parameters that were changed s
 _COMMANDED = 9
 """First output of a servo if the outputs of a log are made of PX4's commands to motors (1 to 8) and servos."""
 _FIRST_PORT = (("port", 0),)
+_LARGEST = 2.0**16
+"""Size of a parameter of an output from which it is damaged: pulses in microseconds, a bit for each of 16 outputs."""
 _PULSES = {True: (1000.0, 1000.0), False: (1500.0, 500.0)}
 """Pulses of no deflection, and their difference from those of a full one, microseconds: of actuators that go one way
 only (True), and of others."""
@@ -155,13 +157,14 @@ def _output_channels(
 
 def _side(survey: Survey, driver: str, commanded: bool, name: str, number: int) -> Channel:
     """Return one of two mixed outputs as a share of full deflection, in the direction in which it was commanded."""
-    parameters, (centre, span), reversed_ = survey.parameters, _PULSES[commanded and number < _COMMANDED], False
+    parameters = {key: value for key, value in survey.parameters.items() if abs(value) < _LARGEST}
+    (centre, span), reversed_ = _PULSES[commanded and number < _COMMANDED], False
     if not survey.px4:
         servo = f"SERVO{number}_"
         reversed_ = parameters.get(f"{servo}REVERSED", 0.0) > 0.0
         centre = parameters.get(f"{servo}TRIM", centre)
         travel = parameters.get(f"{servo}MAX", centre + span) - parameters.get(f"{servo}MIN", centre - span)
-        span = 0.5 * travel if travel > 0.0 else span
+        span = 0.5 * travel if travel >= 1.0 else span
     elif not commanded:
         reversed_ = bool(int(parameters.get(f"{driver.removesuffix('FUNC')}REV", 0.0)) >> (number - 1) & 1)
     scale = (-1.0 if reversed_ else 1.0) / span

@@ -108,7 +108,8 @@ class ScaledInputs(ABC):
         self._mixed = []
         for mix in self.mixes:
             if parameters.get(mix.parameter):
-                self._mixed.append((self.signals.index(mix.difference), self.signals.index(mix.mean)))
+                names = type(self).signals
+                self._mixed.append((names.index(mix.difference), names.index(mix.mean)))
                 outputs = {mix.difference: mix.first, mix.mean: mix.second}
                 self.signals = tuple(outputs.get(name, name) for name in self.signals)
         self._means = LaggedMeans(timing, signal_rate_hz, size, len(self.inputs), len(self.outputs))
