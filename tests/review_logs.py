@@ -204,6 +204,7 @@ def ardupilot_log(
     log.define("XKF1", "QBff", "TimeUS,C,PN,PE", "s#mm")
     log.define("PSCN", "Qff", "TimeUS,TPN,PN")
     log.define("PSCE", "Qff", "TimeUS,TPE,PE")
+    log.define("MAVC", "QBBHf", "TimeUS,SS,SC,Cmd,P1")
     log.define("VIBE", "QBfffI", "TimeUS,IMU,VibeX,VibeY,VibeZ,Clip", "s#----")
     log.add("MSG", BEGIN_US, "ArduCopter V4.5.7")
     for number in range(1, 5):
@@ -221,6 +222,9 @@ def ardupilot_log(
         if now[1] != was[1]:
             log.add("EV", stamp, 18 if now[1] else 28)
         was = now
+        for when, component, number, first in flight.commands:
+            if when <= at < when + 0.1:
+                log.add("MAVC", stamp, 255, component, number, first)
         for when, name, value in flight.changes:
             if when <= at < when + 0.1:
                 log.add("PARM", stamp, name, value)

@@ -664,7 +664,9 @@ def test_a_log_without_a_flight_is_not_judged(tmp_path: Path) -> None:
     assert [why for _, why in review.reasons()] == ["the log shows no flight"]
 
 
-@pytest.mark.parametrize("name", ["motors_stopped_in_air", "motor_at_limit", "gps_lost", "turned_over"])
+@pytest.mark.parametrize(
+    "name", ["motors_stopped_in_air", "motor_at_limit", "gps_lost", "turned_over", "commands_from_outside"]
+)
 def test_logs_of_ardupilot_are_judged_alike(name: str, tmp_path: Path) -> None:
     review = rules_on(ardupilot_log(tmp_path / "flight.bin", (CASES | {"motors_stopped_in_air": LANDED_THERE})[name]))
     assert review.facts.autopilot == "ArduPilot"

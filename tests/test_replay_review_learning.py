@@ -38,7 +38,7 @@ def test_a_finding_begins_where_its_estimate_left_what_is_usual() -> None:
     facts = LogFacts("ArduPilot", "multirotor", START_NS, 15.0, (), ((0.0, 15.0),), {})
     raised = Replay(events=(event(1400, "raised"),), traces=(replace(run, isolated=isolated),))
     (alarm,) = _alarms(raised, facts, 5.0)
-    assert (alarm.begin_s, alarm.start_s) == (pytest.approx(13.2, abs=0.02), pytest.approx(14.0))
+    assert (alarm.onset_s, alarm.start_s) == (pytest.approx(13.2, abs=0.02), pytest.approx(14.0))
 
 
 def test_the_size_of_an_alarm_is_the_one_that_lasted() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,7 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
     for span in alarm_spans(replay.events):
         start_s = (span.start_ns - facts.start_ns) / 1e9
         end_s = facts.duration_s if span.end_ns is None else (span.end_ns - facts.start_ns) / 1e9
-        onset_s = None
+        onset_s = inf
         if (trace := traces.get(span.observer)) is not None:
             seen = (trace.unix_ns[trace.armed] - facts.start_ns) / 1e9
             onset_s = _onset_s(trace, seen, span.channel, start_s)
@@ -121,22 +122,17 @@ _BEFORE_S = 10.0
 """Time before an alarm that may be a part of its cause, seconds: of known faults the slowest shows after 3 s."""
 
 
-def _onset_s(trace: Trace, seen_s: Floats, channel: str, start_s: float) -> float | None:
-    """Return when an alarm's estimate left its usual range for the last time before the alarm; None if it did not.
+def _onset_s(trace: Trace, seen_s: Floats, channel: str, start_s: float) -> float:
+    """Return when an alarm's estimate left its usual range for the last time before the alarm; infinite if unknown.
 
     An alarm is raised later, once noise alone does not explain the estimate.
     """
-    if channel not in trace.layout.faults:
-        return None
-    index = trace.layout.faults.index(channel)
-    sizes = np.abs(trace.isolated[trace.armed, index])
-    usual = sizes[seen_s < start_s - _BEFORE_S]
-    raised = int(np.searchsorted(seen_s, start_s))
-    if not len(usual) or raised >= len(sizes):
-        return None
-    inside_range = np.flatnonzero(sizes[:raised] <= usual.max())
-    first = int(inside_range[-1]) + 1 if len(inside_range) else raised
-    return float(seen_s[first]) if first < raised else None
+    before = seen_s < start_s - _BEFORE_S
+    if channel not in trace.layout.faults or not before.any():
+        return inf
+    sizes = np.abs(trace.isolated[trace.armed, trace.layout.faults.index(channel)])
+    usual_s = seen_s[(sizes <= sizes[before].max()) & (seen_s < start_s)][-1]
+    return float(np.min(seen_s[seen_s > usual_s], initial=inf))
 
 
 def _typical(span: AlarmSpan, end_ns: int) -> AlarmEvent:

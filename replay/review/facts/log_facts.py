@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -132,13 +133,7 @@ class LearnedAlarm:
     text: str
     size: float = 0.0
     possible: bool = True
-    # time from which on the evidence exceeded what it usually is; None: not before the alarm
-    onset_s: float | None = None
-
-    @property
-    def begin_s(self) -> float:
-        """The begin of the evidence."""
-        return self.start_s if self.onset_s is None else self.onset_s
+    onset_s: float = inf  # time from which on its estimate was larger than before, if sooner than the alarm
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,15 +91,16 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
             *_landed_before(facts, largest),
         )
         enough = bool(staying) and largest.share >= _least_share(channels, largest) and not (accurate or doubts)
+        sooner = [alarm for alarm in own[:1] if alarm.onset_s < alarm.start_s]
         # a wrong heading and a wrong turn rate look the same to the other sensors
         either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
         yield Judgement(
-            span=(own[0].begin_s, own[-1].end_s),
+            span=(min(own[0].start_s, own[0].onset_s), own[-1].end_s),
             text=f"{either}{largest.text}, compared with the first {learned_s:.0f} s of the flight",
             evidence=(
                 f"observer {largest.observer}, learned from the flight until {watch.until_s:.0f} s: alarm from "
                 f"{own[0].start_s:.1f} to {own[-1].end_s:.1f} s",
-                *_since(own[0]),
+                *(f"its estimate has been out of its usual range since {one.onset_s:.1f} s" for one in sooner),
                 f"up to {largest.share:.1f} times the threshold",
             ),
             counter=doubts,
@@ -107,11 +108,6 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
             weight="warning" if enough else "information",
             plots=(f"estimate_{channel}",),
         )
-
-
-def _since(alarm: LearnedAlarm) -> Iterator[str]:
-    if alarm.onset_s is not None:
-        yield f"its estimate has been out of its usual range since {alarm.onset_s:.1f} s"
 
 
 def _least_share(channels: Mapping[tuple[str, ...], float], alarm: LearnedAlarm) -> float:
