@@ -832,6 +832,18 @@ def test_a_submarine_is_judged_while_armed_and_needs_no_fix(tmp_path: Path) -> N
     assert review.unjudged["GPS fix lost in flight"] == "receivers have no fix under water"
 
 
+@pytest.mark.parametrize(("parameter", "vehicle"), [("LAND_SPEED", "multirotor"), ("CRUISE_SPEED", "rover")])
+def test_a_log_without_texts_tells_its_vehicle_by_its_parameters(parameter: str, vehicle: str, tmp_path: Path) -> None:
+    log = DataflashWriter()
+    log.define("PARM", "QNf", "TimeUS,Name,Value")
+    log.define("CURR", "Qff", "TimeUS,Volt,Curr")
+    log.add("PARM", 0, parameter, 50.0)
+    log.add("CURR", 1_000_000, 15.6, 9.0)
+    path = tmp_path / "flight.bin"
+    path.write_bytes(log.data)
+    assert rules_on(path).facts.vehicle == vehicle
+
+
 def test_old_versions_log_hundredths_of_volts(tmp_path: Path) -> None:
     log = DataflashWriter()
     log.define("MSG", "QZ", "TimeUS,Message")

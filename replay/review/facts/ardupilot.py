@@ -51,6 +51,8 @@ _NO_FAILSAFE = frozenset({10, 13, 20, 22, 23})
 the vehicle's health."""
 _VEHICLES = {"Copter": ("multirotor", 2), "Plane": ("plane", 1), "Rover": ("rover", 10), "ArduSub": (SUBMARINE, 12)}
 """By a word in the log's first texts: the kind of vehicle, and a MAV_TYPE with its modes."""
+_OWN = {"LAND_SPEED": "Copter", "TECS_CLMB_MAX": "Plane", "CRUISE_SPEED": "Rover", "JS_GAIN_DEFAULT": "ArduSub"}
+"""The same words by a parameter that no other vehicle has, for logs whose texts are missing."""
 _PWM_FROM, _PWM_TO = 1000.0, 2000.0
 """Defaults of MOT_PWM_MIN and MOT_PWM_MAX, for logs without parameters."""
 _THROTTLE_CHANNEL = 3
@@ -80,7 +82,8 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
         # the log begins in the air
         landing = [(0.0, 0.0), *landing]
     texts = [(at, str(row.get("Message", ""))) for at, row in records.listed("MSG")]
-    vehicle, kind = next((known for _, text in texts for word, known in _VEHICLES.items() if word in text), ("", 0))
+    words = [*(text for _, text in texts), *(word for name, word in _OWN.items() if name in records.parameters)]
+    vehicle, kind = next((known for text in words for word, known in _VEHICLES.items() if word in text), ("", 0))
     signals: dict[str, LogSignal] = {}
     lacks: dict[str, str] = {}
     if vehicle in ("", "multirotor"):
