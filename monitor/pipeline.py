@@ -63,6 +63,7 @@ _FORGED = {
     "before": "repeats earlier values, one after the other: a recording is sent again",
     "still": "has outputs that stand still while its others move",
     "pace": "comes as often as before, but its stamps go on {pace:.2f} times as fast",
+    "fixes": "has stamps that go on {pace:.3f} times as fast as time, by its fixes, a whole number of them a second",
 }
 """The sentences for the kinds of evidence in ``VehicleClock.found``."""
 _NUMBERED_NS = 10_000_000_000

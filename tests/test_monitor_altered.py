@@ -71,6 +71,38 @@ def test_links_and_simulations_of_another_pace_are_no_impostors(
     assert [event for event in events_of(bundled_quad, messages) if event.channel == "impostor"] == []
 
 
+def from_the_start(messages: list[Message], change: Callable[[Message, float], Message]) -> list[Message]:
+    first_ns = messages[0].received_ns
+    return [change(m, (m.received_ns - first_ns) / 1e9) for m in messages if m.received_ns < first_ns + 6e9]
+
+
+@pytest.mark.parametrize("pace", [0.8, 0.9, 1.04])
+def test_a_clock_that_never_went_right_is_an_impostors_and_no_sensors(
+    bundled_quad: Profile, calm_flight: list[Message], pace: float
+) -> None:
+    slow = from_the_start(calm_flight, lambda m, s: stamped(m, (pace - 1.0) * s))
+    [impostor] = raised(bundled_quad, slow)
+    assert f"{pace:.2f}" in impostor.message
+    assert "as fast as time" in impostor.message
+    assert (impostor.time_ns - calm_flight[0].received_ns) / 1e9 < 5.5
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda m, s: received(m, 0.1 * s),
+        lambda m, s: received(m, -0.5 * s),
+        lambda m, s: received(stamped(m, 1.0 * s), 1.0 * s),
+    ],
+    ids=["simulation_at_0.9_or_a_link_that_falls_behind", "simulation_at_twice_the_speed", "half_the_rate"],
+)
+def test_simulations_at_another_speed_from_the_start_are_no_impostors(
+    bundled_quad: Profile, calm_flight: list[Message], change: Callable[[Message, float], Message]
+) -> None:
+    events = raised(bundled_quad, from_the_start(calm_flight, change))
+    assert "impostor" not in [event.channel for event in events]
+
+
 def outputs(calm_flight: list[Message], values: Callable[[float], dict[str, int]]) -> list[Message]:
     """Return messages in which commands are others, by their time in the attack."""
     return [

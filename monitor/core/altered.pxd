@@ -32,3 +32,15 @@ cdef class Pace:
 
     cdef bint take(self, long long stamp, long long received) noexcept
     cdef void begin(self, long long stamp, long long received) noexcept
+
+
+cdef class Fixes:
+    cdef long long _first, _first_received, _last, _last_received
+    cdef int _count
+    # Of the fixes their number of periods, the latest stamp since the first, and sums of arrivals x and stamps y.
+    cdef double _periods, _y, _sum_x, _sum_y, _sum_xx, _sum_xy, _sum_yy
+    # The latest pace.
+    cdef double pace
+
+    cdef bint take(self, long long stamp, long long received) noexcept
+    cdef void begin(self, long long stamp, long long received) noexcept

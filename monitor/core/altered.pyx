@@ -12,7 +12,7 @@ run at the speed of its program.
 """
 
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
-from libc.math cimport INFINITY, fabs, rint
+from libc.math cimport INFINITY, fabs, rint, sqrt
 
 # In nanoseconds.
 cdef long long SECOND = 1_000_000_000
@@ -47,6 +47,22 @@ cdef int RATE = 8
 # backlog.
 cdef double FOLLOW = 0.125
 cdef double FOLLOW_PACE = 0.25
+# Shortest and longest time over which the pace of fixes is measured, seconds; fewest fixes. Chosen: told within 5 s; in
+# the longest a clock that is 1 % slow is told by links of 0.1 s of jitter.
+cdef double FIXES_FROM = 4.0
+cdef double FIXES_UNTIL = 32.0
+cdef int FIXES = 16
+# Stamps that differ by less are of one fix that was sent twice, seconds. Receivers make 25 fixes a second at most.
+cdef double SAME = 0.035
+# A delay that grows by this over the measurement is no change of pace, seconds. Chosen: 2 % in 4 s.
+cdef double DRIFT = 0.08
+# Standard errors of the pace within which the period has to be explained; share of the change below which a period
+# counts as a whole number of fixes, or this error.
+cdef double ERRORS = 3.0
+cdef double WHOLE = 0.5
+cdef double NO_WHOLE = 0.01
+# Largest difference of a step from a whole number of periods, as a share: the other stamps are no fixes' times.
+cdef double UNEVEN = 0.15
 
 
 cdef class Stands:
@@ -170,3 +186,52 @@ cdef class Pace:
         self._first = self._last = stamp
         self._first_received = self._last_received = received
         self._span, self._steps, self._least, self._most = 0, 0, 0.0, 0.0
+
+
+cdef class Fixes:
+    """The pace of the stamps of a GPS receiver's fixes by their arrival, from the first one on."""
+
+    cdef bint take(self, long long stamp, long long received) noexcept:
+        """Process a fix's stamp; return whether the stamps were altered."""
+        cdef double x, y, step, periods, spread, deviation, error, per_s, by_arrival, change
+        step = <double>(stamp - self._last) / SECOND
+        if self._count and fabs(step) < SAME:
+            return False
+        if self._count == 0 or not 0.0 < step < FIXES_FROM or received < self._last_received:
+            self.begin(stamp, received)
+            return False
+        x, y = <double>(received - self._first_received) / SECOND, <double>(stamp - self._first) / SECOND
+        periods = max(1.0, rint(step * self._periods / self._y)) if self._periods > 0.0 else 1.0
+        if self._periods > 0.0 and fabs(step * self._periods / self._y - periods) > UNEVEN * periods:
+            self.begin(stamp, received)
+            return False
+        self._last, self._last_received, self._y = stamp, received, y
+        self._count, self._periods = self._count + 1, self._periods + periods
+        self._sum_x, self._sum_y = self._sum_x + x, self._sum_y + y
+        self._sum_xx, self._sum_xy, self._sum_yy = self._sum_xx + x * x, self._sum_xy + x * y, self._sum_yy + y * y
+        if y < FIXES_FROM or self._count < FIXES:
+            return False
+        # least squares of the stamps by their arrival
+        spread = self._sum_xx - self._sum_x * self._sum_x / self._count
+        if spread <= 0.0:
+            return False
+        deviation = self._sum_xy - self._sum_x * self._sum_y / self._count
+        self.pace = deviation / spread
+        error = self._sum_yy - self._sum_y * self._sum_y / self._count - self.pace * deviation
+        error = sqrt(max(0.0, error) / ((self._count - 2) * spread))
+        per_s, change = self._periods / y, fabs(self.pace - 1.0)
+        by_arrival = per_s * self.pace
+        if y >= FIXES_UNTIL:
+            self.begin(stamp, received)
+        if change < max(DRIFT / y, 5.0 * error) or per_s < 0.9:
+            return False
+        if fabs(per_s / rint(per_s) - 1.0) < min(NO_WHOLE, WHOLE * change) or rint(by_arrival) < 1.0:
+            return False
+        return fabs(by_arrival / rint(by_arrival) - 1.0) <= min(WHOLE * change, 0.002 + ERRORS * error)
+
+    cdef void begin(self, long long stamp, long long received) noexcept:
+        """Begin another measurement."""
+        self._first = self._last = stamp
+        self._first_received = self._last_received = received
+        self._count, self._periods, self._y = 1, 0.0, 0.0
+        self._sum_x = self._sum_y = self._sum_xx = self._sum_xy = self._sum_yy = 0.0

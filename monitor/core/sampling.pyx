@@ -62,7 +62,7 @@ from libc.math cimport M_PI, NAN, atan2, cos, fmod, hypot, isfinite, rint, sin
 from libc.stdlib cimport qsort
 from libc.string cimport memcmp, memcpy, memmove, memset
 
-from monitor.core.altered cimport Pace, Stands
+from monitor.core.altered cimport Fixes, Pace, Stands
 from monitor.core.interleaved cimport Interleaved
 from monitor.core.repeats cimport SENSES, Repeats
 
@@ -261,9 +261,10 @@ cdef class VehicleClock:
         Whether the vehicle says that it is in flight: then its clock is not set and the vehicle not replaced.
     found : dict[tuple[str, str], int]
         Until which Unix time a message, by its name, is taken to be another sender's, and by what: ``turns`` (values of
-        two senders), ``before`` (sent before, value by value), ``still`` (outputs beside others), ``pace`` (of stamps).
+        two senders), ``before`` (sent before, value by value), ``still`` (outputs beside others), ``pace`` (of stamps,
+        compared with that before), ``fixes`` (of stamps, compared with time).
     pace : float
-        How fast stamps went on when they last changed their pace, in times of that before.
+        How fast stamps went on when they were last found to have another pace.
     """
 
     cdef readonly int boot
@@ -955,6 +956,7 @@ cdef class Stream:
     cdef Interleaved senders
     cdef Repeats before
     cdef Pace pace
+    cdef Fixes fixes
     cdef Stands stands
     cdef int width
     cdef Scaling* scalings
@@ -1007,6 +1009,7 @@ cdef class Stream:
         stopped = [NAN if channel.stopped_as is None else channel.stopped_as for channel in self.channels]
         self.pace, self.stands = Pace(), Stands(stopped) if commands else None
         channel = self.channel
+        self.fixes = Fixes() if channel.message == "GPS_RAW_INT" else None
         self.restless, self.newest = restless, <double*>_resized(NULL, self.width * sizeof(double))
         self.equal = [value for _, value in channel.where]
         self.least = [least for _, least in channel.at_least]
@@ -1272,6 +1275,9 @@ cdef class SamplerCore:
             if not clockless and stream.pace.take(stamp, received):
                 if clock.register(stream.channel.message, "pace", received):
                     clock.pace = stream.pace.ratio
+            if not clockless and stream.fixes is not None and stream.fixes.take(stamp, received):
+                if clock.register(stream.channel.message, "fixes", received):
+                    clock.pace = stream.fixes.pace
             if stream.stands is not None and stream.stands.take(stamp, row, clock.flies):
                 clock.register(stream.channel.message, "still", received)
             self.store(stream, stamp, row)
@@ -1323,6 +1329,8 @@ cdef class SamplerCore:
             for stream in streams:
                 (<Stream>stream).senders.clear()
                 (<Stream>stream).pace = Pace()
+                if (<Stream>stream).fixes is not None:
+                    (<Stream>stream).fixes = Fixes()
         self._waiting = None
         self._newest = self._resumed = 0
         self._started = self._has_unix = False
