@@ -29,6 +29,8 @@ cover; an evaluation takes some 3 ms for a dozen kinds of message, however few t
 _BROKEN_NS = 10_000_000_000
 """Largest step of stamps that counts as a loss: a longer one is a pause or another clock, and the vehicle's clock
 starts anew."""
+_SET_NS = _MINUTE_NS
+"""Delay from which on the receiver's clock was set forward: as long as the quickest message is known at least."""
 _LOST = 1.75
 """Step, in usual steps, from which measurements are missing: the same number as the sampler's."""
 _STEPS = 31
@@ -82,6 +84,7 @@ class _Stream:
         if self._least_ns:
             quickest = np.minimum(quickest, min(least_ns for _, least_ns in self._least_ns))
         delays = transit - quickest
+        delays = delays[delays < _SET_NS]
         least = int(transit.min())
         if self._least_ns and self._least_ns[-1][0] == minute:
             self._least_ns[-1] = minute, min(least, self._least_ns[-1][1])
@@ -89,6 +92,7 @@ class _Stream:
             self._least_ns.append((minute, least))
         before = np.concatenate([[self._transit_ns], transit]) if known else transit
         changes = np.abs(before[1:] - before[:-1])
+        changes = changes[changes < _SET_NS]
         ordered = np.unique(np.concatenate([[self._stamp_ns], stamps]) if known else stamps)
         steps = ordered[1:] - ordered[:-1]
         steps = steps[steps < _BROKEN_NS]

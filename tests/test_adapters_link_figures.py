@@ -43,6 +43,12 @@ def test_delay_and_jitter_are_means_beyond_the_quickest_message() -> None:
     assert lost == 0.0
 
 
+def test_a_clock_of_the_receiver_that_was_set_an_hour_forward_and_back_delays_nothing() -> None:
+    late = np.zeros(6_000)
+    late[2_000:3_000] = 3.6e6
+    assert figures(columns(np.arange(1_000, 61_000, 10), late)) == (0.0, 0.0, 0.0)
+
+
 @given(st.integers(0, 2**32), st.floats(0.0, 0.4))
 def test_what_is_lost_is_seen_in_the_stamps(seed: int, share: float) -> None:
     kept = np.random.default_rng(seed).random(6_000) >= share
