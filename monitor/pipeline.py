@@ -64,6 +64,7 @@ _FORGED = {
     "still": "has outputs that stand still while its others move",
     "pace": "comes as often as before, but its stamps go on {pace:.2f} times as fast",
     "fixes": "has stamps that go on {pace:.3f} times as fast as time, by its fixes, a whole number of them a second",
+    "response": "has commands that the rates do not follow any more: one of the two is not its own",
 }
 """The sentences for the kinds of evidence in ``VehicleClock.found``."""
 _NUMBERED_NS = 10_000_000_000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -119,6 +120,24 @@ def test_outputs_that_stand_still_beside_others_are_an_impostors(
     impostor = next(event for event in events if event.channel == "impostor")
     assert "stand still" in impostor.message
     assert since_s(calm_flight, impostor) < 3.5
+
+
+@pytest.mark.parametrize("name", ["SERVO_OUTPUT_RAW", "ATTITUDE"])
+def test_commands_and_rates_that_do_not_belong_together_are_an_impostors(
+    bundled_quad: Profile, calm_flight: list[Message], name: str
+) -> None:
+    rng = random.Random(name)
+
+    def change(message: Message, s: float) -> Message:
+        drawn = {f"servo{k}_raw": 1590 + round(rng.gauss(0, 12)) for k in range(1, 5)}
+        if name == "ATTITUDE":
+            drawn = {f"{axis}speed": rng.gauss(0, 0.03) for axis in ("roll", "pitch", "yaw")}
+        return replace(message, fields={**message.fields, **drawn}) if message.name == name else message
+
+    events = raised(bundled_quad, altered(calm_flight, change))
+    impostor = next(event for event in events if event.channel == "impostor")
+    assert "commands that the rates do not follow" in impostor.message
+    assert since_s(calm_flight, impostor) < 5.0
 
 
 @pytest.mark.parametrize(

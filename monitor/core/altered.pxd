@@ -44,3 +44,27 @@ cdef class Fixes:
 
     cdef bint take(self, long long stamp, long long received) noexcept
     cdef void begin(self, long long stamp, long long received) noexcept
+
+
+cdef class Response:
+    cdef int _inputs, _outputs, _lags, _width, _window, _known, _count, _acted, _not
+    # The mean of the commands, and whether it changed in the window.
+    cdef double _mean
+    cdef bint _moved
+    # Of a window the products of its rows with themselves (the lower triangle) and with the changes of the outputs.
+    cdef double* _squares
+    cdef double* _products
+    # The newest row: 1 and the differences of commands, the latest first; the outputs before.
+    cdef double* _row
+    cdef double* _before
+    # Of the changes of each output their sum and sum of squares in the window, and the newest one; least and largest
+    # variance in windows in which commands act.
+    cdef double* _sums
+    cdef double* _energies
+    cdef double* _change
+    cdef double* _least
+    cdef double* _most
+
+    cdef bint take(self, const double* vector, bint is_usable) noexcept
+    cdef bint judge(self) noexcept
+    cdef void begin(self) noexcept

@@ -63,6 +63,21 @@ cdef double WHOLE = 0.5
 cdef double NO_WHOLE = 0.01
 # Largest difference of a step from a whole number of periods, as a share: the other stamps are no fixes' times.
 cdef double UNEVEN = 0.15
+# Longest time after which a command still changes a rate, seconds. Chosen: two time constants of a motor and its delay.
+cdef double LAGS = 0.08
+# Duration of a window, seconds, and least number of samples per parameter in it. Chosen: two windows within 5 s; the
+# share that is explained by chance varies by 0.07 then.
+cdef double WINDOW = 1.5
+cdef int SAMPLES = 6
+# Share explained from which on commands act, and below which they do not; windows that show that they act, and that
+# they do not. Chosen between the 0.59 and 0.05 that were measured.
+cdef double ACTS = 0.5
+cdef double ACTS_NOT = 0.15
+cdef int ACTED = 3
+cdef int ACTED_NOT = 2
+# Of a rate that changes less than it did where commands acted noise is the most; one that changes by this factor more
+# in variance is not that of a flight (a collision, a fall).
+cdef double WILD = 9.0
 
 
 cdef class Stands:
@@ -235,3 +250,125 @@ cdef class Fixes:
         self._first_received = self._last_received = received
         self._count, self._periods, self._y = 1, 0.0, 0.0
         self._sum_x = self._sum_y = self._sum_xx = self._sum_xy = self._sum_yy = 0.0
+
+
+cdef class Response:
+    """Whether outputs change as the commands of the vehicle say, by least squares in windows of a flight.
+
+    Parameters
+    ----------
+    inputs, outputs : int
+        Number of commands and outputs in a sample.
+    rate_hz : float
+        Samples per second.
+    """
+
+    def __cinit__(self, int inputs, int outputs, double rate_hz):
+        cdef int i, size
+        self._inputs, self._outputs = inputs, outputs
+        self._lags = max(1, min(6, <int>rint(LAGS * rate_hz)))
+        self._width = (inputs - 1) * (self._lags + 1) + 1
+        self._window = max(<int>rint(WINDOW * rate_hz), SAMPLES * self._width)
+        size = self._width * (self._width + outputs) + (self._width + 6 * outputs)
+        self._squares = <double*>PyMem_Calloc(size, sizeof(double))
+        if self._squares == NULL:
+            raise MemoryError
+        self._products = self._squares + self._width * self._width
+        self._row = self._products + self._width * outputs
+        self._before = self._row + self._width
+        self._sums = self._before + outputs
+        self._energies = self._sums + outputs
+        self._change = self._energies + outputs
+        self._least = self._change + outputs
+        self._most = self._least + outputs
+        for i in range(outputs):
+            self._least[i] = INFINITY
+
+    def __dealloc__(self):
+        PyMem_Free(self._squares)
+
+    cdef bint take(self, const double* vector, bint is_usable) noexcept:
+        """Process a sample [u; y]; return whether the outputs do not change as the commands say any more."""
+        cdef int own = self._inputs - 1, i, k
+        cdef double mean = 0.0
+        if not is_usable:
+            self._known = 0
+            self.begin()
+            return False
+        for i in range(self._width - 1, own, -1):
+            self._row[i] = self._row[i - own]
+        for i in range(self._inputs):
+            mean += vector[i] / self._inputs
+        # Stopped motors stand still.
+        self._moved |= mean != self._mean
+        self._mean = mean
+        self._row[0] = 1.0
+        for i in range(own):
+            self._row[1 + i] = vector[i] - mean
+        for k in range(self._outputs):
+            self._change[k] = vector[self._inputs + k] - self._before[k]
+            self._before[k] = vector[self._inputs + k]
+        self._known += 1
+        if self._known <= self._lags + 1:
+            return False
+        for i in range(self._width):
+            for k in range(i + 1):
+                self._squares[i * self._width + k] += self._row[i] * self._row[k]
+            for k in range(self._outputs):
+                self._products[i * self._outputs + k] += self._row[i] * self._change[k]
+        for k in range(self._outputs):
+            self._sums[k] += self._change[k]
+            self._energies[k] += self._change[k] * self._change[k]
+        self._count += 1
+        return self._count == self._window and self.judge()
+
+    cdef bint judge(self) noexcept:
+        """Compare the window with those before; return whether the commands have ceased to act."""
+        cdef int n = self._count, width = self._width, i, j, k
+        cdef double* factor = self._squares
+        cdef double ridge = 0.0, total, variance, rest, share, best = -INFINITY, judged = -INFINITY
+        cdef bint acts
+        for i in range(width):
+            ridge += 1e-9 * factor[i * width + i]
+        for i in range(width):
+            # Cholesky: the lower triangle in place; forward substitution of the products.
+            factor[i * width + i] += ridge
+            for j in range(i + 1):
+                total = factor[i * width + j]
+                for k in range(j):
+                    total -= factor[i * width + k] * factor[j * width + k]
+                factor[i * width + j] = sqrt(total) if i == j else total / factor[j * width + j]
+            for k in range(self._outputs):
+                total = self._products[i * self._outputs + k]
+                for j in range(i):
+                    total -= factor[i * width + j] * self._products[j * self._outputs + k]
+                self._products[i * self._outputs + k] = total / factor[i * width + i]
+        for k in range(self._outputs):
+            rest = self._energies[k]
+            for i in range(width):
+                rest -= self._products[i * self._outputs + k] * self._products[i * self._outputs + k]
+            variance = (self._energies[k] - self._sums[k] * self._sums[k] / n) / n
+            share = 1.0 - rest / (n - width) / variance if variance > 0.0 else 0.0
+            acts = share >= ACTS
+            best = max(best, share)
+            if acts:
+                self._least[k], self._most[k] = min(self._least[k], variance), max(self._most[k], variance)
+            if self._least[k] <= variance <= WILD * self._most[k]:
+                judged = max(judged, share)
+        if best >= ACTS:
+            self._acted, self._not = self._acted + 1, 0
+        elif self._acted >= ACTED and self._moved and -INFINITY < judged < ACTS_NOT:
+            self._not += 1
+        else:
+            self._not = 0
+        self.begin()
+        return self._not >= ACTED_NOT
+
+    cdef void begin(self) noexcept:
+        """Begin another window."""
+        cdef int i
+        for i in range(self._width * (self._width + self._outputs)):
+            self._squares[i] = 0.0
+        for i in range(self._outputs):
+            self._sums[i] = self._energies[i] = 0.0
+        self._count, self._moved = 0, False

@@ -62,7 +62,7 @@ from libc.math cimport M_PI, NAN, atan2, cos, fmod, hypot, isfinite, rint, sin
 from libc.stdlib cimport qsort
 from libc.string cimport memcmp, memcpy, memmove, memset
 
-from monitor.core.altered cimport Fixes, Pace, Stands
+from monitor.core.altered cimport Fixes, Pace, Response, Stands
 from monitor.core.interleaved cimport Interleaved
 from monitor.core.repeats cimport SENSES, Repeats
 
@@ -160,6 +160,11 @@ cdef nanoseconds _RAW_LINE = round(1e9 * RAW_LINE_S)
 # whose controllers' speeds have no time: with jitter up to 75 ms no false alarm, with 100 ms five, with 200 ms 18.
 cdef nanoseconds _UNDATED = _RAW_LINE // 2
 cdef nanoseconds _LONGEST_PERIOD = 1 << 58
+
+# Fewest commands, outputs and samples a second with which rates are compared with commands. Chosen: three body rates;
+# two samples in the lag of a motor.
+cdef int _ANSWERED = 3
+cdef double _ANSWERED_HZ = 40.0
 
 # Rule 4. Measured in flight on 21 healthy recordings of multirotors: commands in whole microseconds repeat in up to 11
 # messages and 0.11 s at 100 Hz, in one or two at 1 to 10 Hz, rates and IMUs never. Forgotten after _LATE_WINDOW.
@@ -262,7 +267,7 @@ cdef class VehicleClock:
     found : dict[tuple[str, str], int]
         Until which Unix time a message, by its name, is taken to be another sender's, and by what: ``turns`` (values of
         two senders), ``before`` (sent before, value by value), ``still`` (outputs beside others), ``pace`` (of stamps,
-        compared with that before), ``fixes`` (of stamps, compared with time).
+        compared with that before), ``fixes`` (of stamps, compared with time), ``response`` (commands beside rates).
     pace : float
         How fast stamps went on when they were last found to have another pace.
     """
@@ -1155,6 +1160,10 @@ cdef class SamplerCore:
     cdef Py_ssize_t _count, _room
     cdef nanoseconds _position
     cdef object _none
+    # Whether rates follow commands, which message has these, and whether they were found not to.
+    cdef Response _response
+    cdef object _commands
+    cdef bint _unanswered
 
     def __init__(self, inputs, outputs, rate_hz, VehicleClock clock not None, max_gap_s=MAX_GAP_S,
                  fitted_hz=MappingProxyType({}), bint restless=False, bint idles=False):
@@ -1182,6 +1191,8 @@ cdef class SamplerCore:
             stream = Stream(
                 group, round(max_gap_s * 1e9), round(1e9 / rate_hz), self._raw, fitted, moves, moves and commands)
             self._streams.setdefault(name, []).append(stream)
+            if moves and commands and min(len(inputs), len(outputs)) >= _ANSWERED and rate_hz >= _ANSWERED_HZ:
+                self._response, self._commands = Response(len(inputs), len(outputs), rate_hz), name
         for streams in self._streams.values():
             for stream in streams:
                 self._lanes.extend((<Stream>stream).lanes)
@@ -1282,6 +1293,9 @@ cdef class SamplerCore:
                 clock.register(stream.channel.message, "still", received)
             self.store(stream, stamp, row)
             self.give_out()
+            if self._unanswered:
+                clock.register(self._commands, "response", received)
+                self._unanswered = False
         return 0
 
     cdef void follow_clock(self) noexcept:
@@ -1505,6 +1519,8 @@ cdef class SamplerCore:
         tick.index, tick.vehicle, tick.position = self._next_tick, due, self._position
         tick.unix_time = self.to_unix(due)
         tick.restart = self._restarting
+        if self._response is not None:
+            self._unanswered |= self._response.take(vector, self.clock.flies and tick.complete and not tick.restart)
         self._count += 1
         self._samples += 1
         self._restarts += tick.restart
