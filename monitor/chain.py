@@ -47,12 +47,12 @@ evidence."""
 
 
 class CommandRun(NamedTuple):
-    """n samples in command units: fault, isolated and sd (n, a); the smoothed command that each fault scales (n,)."""
+    """n samples in command units: fault, isolated, sd, and the smoothed commands that faults scale, if any (n, a)."""
 
     fault: NDArray[np.float64]
     isolated: NDArray[np.float64]
     sd: NDArray[np.float64]
-    commands: Mapping[int, NDArray[np.float64]]
+    commands: NDArray[np.float64]  # not a number for a fault that scales none
 
 
 class CommandUnits:
@@ -71,7 +71,6 @@ class CommandUnits:
             np.array(channel, np.intp),
             keep_share(profile.isolation.smoothing_s, gains.rate_hz),
         )
-        self._channels = [(fault, entry) for fault, entry in enumerate(channel) if entry >= 0]
         self._curves = np.ascontiguousarray(gains.input_curves, np.float64)
         # behind the inputs that faults scale: a place for the index -1, which stands for none
         scaled = [-1 if fault.input is None else fault.input for fault in profile.faults]
@@ -91,19 +90,16 @@ class CommandUnits:
 
         Commands ``u`` are (n, s); fault estimates, evidence and standard deviations (n, a) are in effect units.
         """
-        scaled, isolated, deviation, commands = self._scale.run(u, restart, fault, evidence, sd)
-        return CommandRun(scaled, isolated, deviation, {index: commands[entry] for index, entry in self._channels})
+        return CommandRun(*self._scale.run(u, restart, fault, evidence, sd))
 
-    def of_change(self, change: ChangeRun, commands: Mapping[int, NDArray[np.float64]]) -> ChangeRun:
+    def of_change(self, change: ChangeRun, commands: NDArray[np.float64]) -> ChangeRun:
         """Return named changes with size, growth and sd in command units if their fault scales an input.
 
         ``commands`` are those that :meth:`run` returned.
         """
-        inputs, command = self._inputs[change.named], np.zeros(len(change.named))
+        inputs, command = self._inputs[change.named], commands[np.arange(len(change.named)), change.named]
         if not (inputs >= 0).any():
             return change
-        for fault, smoothed in commands.items():
-            command = np.where(change.named == fault, smoothed, command)
         size, later, upper = (
             shares_in_command(self._curves, inputs, command, share)
             for share in (change.size, change.size + change.growth, change.size + change.sd)
@@ -193,9 +189,9 @@ class ChainRun:
     rows: ChainRows  # evidence, as the alarms process it
     alarms: Sequence[Alarm]  # the alarms, in the order of the evidence's columns
     faults: Sequence[int]  # the fault of each alarm; the last alarm, of what no fault explains, has none
-    # for each fault: the command that its size is a share of (n,), if that makes sense; or the share, if it is known in
-    # another way
-    commands: Mapping[int, NDArray[np.float64]]
+    # the command that each fault's size is a share of (n, a), not a number if that makes no sense; by fault the share,
+    # if it is known in another way
+    commands: NDArray[np.float64]
     effects: Mapping[int, EffectivenessRun]
     found: EstimatorRun  # the estimator's own result, in effect units
     scale: NDArray[np.float64]  # how many times its threshold each fault has to reach (n, a), 1 or more
@@ -214,14 +210,14 @@ class ChainRun:
             if (effect := self.effects.get(fault)) is not None:
                 relative = effect.share
             else:
-                command = self.commands.get(fault)
+                command = self.commands[row, fault]
         if code == RAISED and self.alarms[alarm].state.sudden:
             sd = self.sudden_sd
         return self.alarms[alarm].event(
             code,
             self.estimates.samples,
             row,
-            None if command is None else float(command[row]),
+            None if command is None or np.isnan(command) else float(command),
             None if relative is None or np.isnan(relative[row]) else float(relative[row]),
             None if sd is None else float(sd[row]),
             self.alarms[self.faults.index(rival)].rule.channel if rival in self.faults else None,
@@ -427,7 +423,6 @@ class ObserverChain:
             sizes[:, index] = effect.size
             with np.errstate(divide="ignore", invalid="ignore"):
                 sd[:, index] = np.where(effect.size == 0.0, sd[:, index], np.abs(effect.size) / effect.score)
-        wide = self._uncertainty.of_sizes(sd, sizes, found.level)
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
         for index, effect in effects.items():
             shown.isolated[:, index], shown.sd[:, index] = effect.size, sd[:, index]
@@ -435,8 +430,7 @@ class ObserverChain:
             if name in self.layout.faults:
                 isolated = shown.isolated[:, self.layout.faults.index(name)]
                 isolated[:] = np.where((size != 0.0) & (isolated != 0.0), size, isolated)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            size_sd = shown.sd * (wide / sd)
+        size_sd = self._uncertainty.of_sizes(sd, sizes, found.level, shown.sd)
         estimates = Estimates(
             observer=self.layout.observer,
             samples=samples,
@@ -466,7 +460,7 @@ class ObserverChain:
         position: NDArray[np.int64],
         found: EstimatorRun,
         effects: Mapping[int, EffectivenessRun],
-        commands: Mapping[int, NDArray[np.float64]],
+        commands: NDArray[np.float64],
         given: Given,
         sd: NDArray[np.float64],
         size_sd: NDArray[np.float64],
@@ -518,7 +512,7 @@ class ObserverChain:
             alarm_scale,
             **({} if changes is None else self._named(changes)),
             sd=size_sd[:, self._faults],
-            command=self._command_of_alarms(commands, len(samples)),
+            command=commands[:, self._faults],
             rival=found.rival[:, self._faults],
         )
         return ChainRun(
@@ -535,12 +529,6 @@ class ObserverChain:
             None if changes is None else changes.sd,
             given.unflown,
         )
-
-    def _command_of_alarms(self, commands: Mapping[int, NDArray[np.float64]], count: int) -> NDArray[np.float64] | None:
-        if not (commands and self._faults):
-            return None
-        unknown = np.full(count, np.nan)
-        return np.stack([commands.get(fault, unknown) for fault in self._faults], axis=1)
 
     def _named(self, run: ChangeRun) -> dict[str, Any]:
         """Return the alarm whose sudden change each row names, with its nats, size, growth, onset and sd."""

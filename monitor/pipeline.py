@@ -481,8 +481,9 @@ class Pipeline:
     def _contradict(self, now_ns: int) -> list[AlarmEvent]:
         """Follow the latest messages that show two senders; return the events that a change causes."""
         before, found = self._forged, sorted(self._clock.found.items())
-        texts = {what: text.format(pace=self._clock.pace) for what, text in _FORGED.items()}
-        self._forged = {name: texts[what] for (name, what), until_ns in found if now_ns < until_ns}
+        self._forged = {
+            name: _FORGED[what].format(pace=self._clock.pace) for (name, what), until_ns in found if now_ns < until_ns
+        }
         certain = self._contradictions(now_ns)
         self.contradictions = [*certain, *[_TWICE_NUMBERED] * (now_ns < self._numbered_ns)]
         events = self._link.contradict(self.contradictions, now_ns, "critical" if certain else "warning")

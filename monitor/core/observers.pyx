@@ -7,7 +7,7 @@ Symbols are those of the theory. Sums are taken in one fixed order, so that the 
 before it and never on how many of them came in the same call (BLAS chooses its order by size).
 """
 
-from libc.math cimport fabs, hypot, sqrt
+from libc.math cimport NAN, fabs, hypot, sqrt
 from libc.stdint cimport int64_t
 
 import numpy as np
@@ -287,6 +287,48 @@ cdef void multiply_rows(const double[:, ::1] A, const double[:, ::1] B, double[:
                     out[i, j] += factor * B[m, j]
 
 
+cdef class SizeErrors:
+    """Standard deviations of the sizes of alarms, by the formula of :mod:`monitor.estimation.uncertainty`.
+
+    Parameters
+    ----------
+    rows, faults : int
+        Lag of estimates behind their faults, in rows, and number of faults.
+    share : float
+        Part of the standard deviation in proportion to the size.
+    """
+
+    cdef double[:, ::1] before
+    cdef Py_ssize_t oldest
+    cdef double share
+
+    def __init__(self, Py_ssize_t rows, Py_ssize_t faults, double share):
+        self.before, self.share = np.zeros((rows, faults)), share
+
+    def run(self, const double[:, :] sd, const double[:, :] sizes, const double[:] level, const double[:, :] shown):
+        """Return the standard deviations of n sizes (n, a) where ``shown`` are the shown ones of their estimates.
+
+        ``sd`` are those of the estimates in the unit of the sizes, in healthy flight (n, a); ``level`` is the
+        residuals' mean square relative to that of healthy flight (n,).
+        """
+        cdef Py_ssize_t k, i, count = sizes.shape[0], faults = self.before.shape[1]
+        cdef double size, noise, way, part
+        if not (same_shape(sd, sizes) and same_shape(shown, sizes)) or sizes.shape[1] != faults:
+            raise ValueError(f"sd, sizes and shown are not of {faults} faults each")
+        result = np.empty((count, faults))
+        cdef double[:, ::1] errors = result
+        for k in range(count):
+            for i in range(faults):
+                size = sizes[k, i]
+                noise = sd[k, i] * sqrt(level[k])
+                way = at_least(fabs(size - self.before[self.oldest, i]) - 2.0 * noise, 0.0)
+                self.before[self.oldest, i] = size
+                part = self.share * size
+                errors[k, i] = shown[k, i] * (sqrt(noise * noise + way * way + part * part) / sd[k, i])
+            self.oldest = (self.oldest + 1) % self.before.shape[0]
+        return result
+
+
 cdef class SinceMeasured:
     """The time since the outputs were last measured."""
 
@@ -337,17 +379,19 @@ cdef class CommandScale:
 
     def run(self, const double[:, :] u, const unsigned char[:] restart, const double[:, :] fault,
             const double[:, :] evidence, const double[:, :] sd):
-        """Return fault, evidence and sd in command units (n, a), and the smoothed commands (len(inputs), n)."""
+        """Return fault, evidence and sd in command units, and the smoothed command that each fault scales (n, a).
+
+        A fault that scales none has no number as its command.
+        """
         cdef Py_ssize_t k, i, channel, count = u.shape[0], faults = self.channel.shape[0]
         cdef double keep = self.keep, size, upper, behind
         if u.shape[1] != self.curves.shape[0] or not count == restart.shape[0] == fault.shape[0]:
             raise ValueError("u, restart and fault do not fit together")
         if not (same_shape(fault, evidence) and same_shape(fault, sd)) or fault.shape[1] != faults:
             raise ValueError(f"fault, evidence and sd are not of {faults} channels each")
-        results = np.empty((count, faults)), np.empty((count, faults)), np.empty((count, faults))
-        smoothed = np.empty((self.inputs.shape[0], count))
+        results = np.empty((4, count, faults))
         cdef double[:, ::1] scaled_fault = results[0], scaled_evidence = results[1], scaled_sd = results[2]
-        cdef double[:, ::1] commands = smoothed
+        cdef double[:, ::1] commands = results[3]
         for k in range(count):
             for i in range(self.inputs.shape[0]):
                 size = u[k, self.inputs[i]]
@@ -356,12 +400,12 @@ cdef class CommandScale:
                 self.before[i] = self.command[i]
                 self.both[i] |= size * self.command[i] < 0.0
                 self.command[i] = keep * self.command[i] + (1.0 - keep) * size
-                commands[i, k] = self.command[i]
             for i in range(faults):
                 channel = self.channel[i]
                 size, upper, behind = fault[k, i], fault[k, i] + sd[k, i], 0.0
-                scaled_evidence[k, i] = evidence[k, i]
+                scaled_evidence[k, i], commands[k, i] = evidence[k, i], NAN
                 if channel >= 0:
+                    commands[k, i] = self.command[channel]
                     size = self.scaled(channel, size)
                     upper = self.scaled(channel, upper)
                     scaled_evidence[k, i] = self.scaled(channel, evidence[k, i])
@@ -371,7 +415,7 @@ cdef class CommandScale:
                         behind = scaled_evidence[k, i] * (u[k, self.inputs[channel]] / self.before[channel] - 1.0)
                 scaled_fault[k, i] = size
                 scaled_sd[k, i] = hypot(upper - size, behind)
-        return (*results, smoothed)
+        return tuple(results)
 
     cdef double scaled(self, Py_ssize_t channel, double fault) noexcept:
         return fault_in_command(self.curves, self.inputs[channel], fault, self.command[channel])

@@ -171,6 +171,14 @@ cdef double _ANSWERED_HZ = 40.0
 cdef int _STILL_ROWS = 5
 cdef nanoseconds _STILL = 250 * _MILLISECOND
 
+# How long a command has to be too small for flight until the vehicle no longer flies. Half of the command of hovering
+# carries half of the weight at most: in the air it would sink 2.5 m/s faster by then. Of a PX4 that reported "in the
+# air" for 3 to 5 s after touch-down, with a tenth of the command of hovering, the first false alarm came after 1.3 s.
+cdef nanoseconds _LOW = 500 * _MILLISECOND
+# A vehicle that has reported for so long that it flies is believed: without a load it hovers with less. Chosen: twice
+# the longest of the slow take-offs seen (4 s).
+cdef nanoseconds _LIFTED = 10 * _SECOND
+
 CAPACITY = 1 << 14
 """Most measurements that a lane keeps; a flood of one channel while another is waited for drops the older half. Chosen:
 16 s at 1 kHz, and 2 MB for a lane of 15 channels."""
@@ -1648,9 +1656,9 @@ cdef class Settling:
     def __init__(self, double settle_s):
         self._settle_ns = settle_s * 1e9
 
-    def run(self, samples, bint allowed, least_command):
+    def run(self, samples, bint allowed, least_command, const unsigned char[:] flies):
         """Return which samples are evidence (n,): ``allowed``, measured, with a mean input of ``least_command`` or
-        more.
+        more, and where ``flies`` (n,) is given, true there.
 
         A sample all of whose outputs are lost is no evidence either.
         """
@@ -1659,7 +1667,7 @@ cdef class Settling:
         cdef const unsigned char[:, :] lost = samples.lost
         cdef const double[:, :] u
         cdef bint by_command = least_command is not None
-        cdef double least = least_command if by_command else 0.0, total
+        cdef double least = least_command if by_command else 0.0
         cdef Py_ssize_t row, i, outputs_from = samples.u.shape[1]
         cdef bint holds, present
         admitted = np.empty(times.shape[0], np.bool_)
@@ -1668,12 +1676,9 @@ cdef class Settling:
             u = samples.u
         self.idle = -1
         for row in range(times.shape[0]):
-            holds = allowed
+            holds = allowed and (flies is None or flies[row])
             if by_command:
-                total = 0.0
-                for i in range(u.shape[1]):
-                    total = total + u[row, i]
-                self.commanded = total / u.shape[1] >= least
+                self.commanded = _mean(u, row) >= least
                 if not self.commanded:
                     holds, self.idle = False, row
             if holds and (restart[row] or not self._holds):
@@ -1686,6 +1691,82 @@ cdef class Settling:
                     present |= not lost[row, i]
                 flags[row] = present
         return admitted
+
+
+cdef class Lifting:
+    """Follows by the mean command whether a vehicle that reports that it flies has lifted off, and not come down since.
+
+    Parameters
+    ----------
+    airborne, hovering : float
+        Mean command from which it may fly, and that of what lifts off.
+
+    Attributes
+    ----------
+    waits : int
+        The last row of the latest run before it lifted off; -1 where there was none.
+    down, fell : bool
+        Whether it came down by its command and has not lifted off since; whether it came down in the latest run.
+    """
+
+    cdef double _airborne, _hovering
+    cdef bint _lifted
+    # vehicle times since which it reports that it flies, and since which its command is too small for flight; -1: None
+    cdef nanoseconds _reported, _low
+    cdef readonly Py_ssize_t waits
+    cdef readonly bint down, fell
+
+    def __init__(self, double airborne, double hovering):
+        self._airborne, self._hovering = airborne, hovering
+        self.waits = -1
+        self.forget()
+
+    def forget(self):
+        """Begin anew."""
+        self._lifted = self.down = False
+        self._reported = self._low = -1
+
+    def run(self, samples, bint landed):
+        """Return which samples are from after it lifted off (n,).
+
+        A vehicle that came down by its command is ``landed`` if it is at about the height of its home, or if its own
+        log says so, which nobody alters: it then waits for its next take-off, however long its landing detector takes
+        (14 s in a flight of PX4).
+        """
+        cdef const nanoseconds[:] times = samples.vehicle_time_ns
+        cdef const double[:, :] u = samples.u
+        cdef Py_ssize_t row
+        cdef double command
+        found = np.empty(times.shape[0], np.bool_)
+        cdef unsigned char[::1] flies = found
+        self.waits, self.fell = -1, False
+        for row in range(times.shape[0]):
+            command = _mean(u, row)
+            if self._reported < 0:
+                self._reported = times[row]
+            if not self._lifted:
+                self._lifted = command >= self._hovering or (
+                    not command < self._airborne and times[row] - self._reported >= _LIFTED)
+                self.down = self.down and not self._lifted
+                if not self._lifted and (landed or not self.down):
+                    self.waits = row
+            elif not command < self._airborne:
+                self._low = -1
+            elif self._low < 0:
+                self._low = times[row]
+            elif times[row] - self._low >= _LOW:
+                self._lifted, self._reported, self._low = False, times[row], -1
+                self.down = self.fell = True
+            flies[row] = self._lifted
+        return found
+
+
+cdef double _mean(const double[:, :] values, Py_ssize_t row) noexcept:
+    cdef double total = 0.0
+    cdef Py_ssize_t i
+    for i in range(values.shape[1]):
+        total = total + values[row, i]
+    return total / values.shape[1]
 
 
 cdef void* _data(array) except NULL:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from gains.plants.discretise import discretise
 from gains.plants.plant import Plant
-from monitor.core.observers import ErrorCovariance
+from monitor.core.observers import ErrorCovariance, SizeErrors
 from monitor.estimation.bank import owners
 from monitor.estimation.observer import Observer
 
@@ -59,7 +59,7 @@ class Uncertainty:
     ) -> None:
         self._covariance: ErrorCovariance | None = None
         self._channels = len(faults)
-        self._sizes = np.zeros((max(1, round(LAG_S * observer.rate_hz)), len(faults)))
+        self._of_sizes = SizeErrors(max(1, round(LAG_S * observer.rate_hz)), len(faults), SHARE)
         systems = None if plant is None else observer.error_systems(discretise(plant, observer.rate_hz))
         if systems is None:
             return
@@ -96,18 +96,18 @@ class Uncertainty:
         return self._covariance.run(measured, restart)
 
     def of_sizes(
-        self, sd: NDArray[np.float64], sizes: NDArray[np.float64], level: NDArray[np.float64]
+        self,
+        sd: NDArray[np.float64],
+        sizes: NDArray[np.float64],
+        level: NDArray[np.float64],
+        shown: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Return the standard deviation of n sizes of alarms (n, a); ``sd`` is that of healthy flight.
 
-        ``level`` is the residuals' mean square relative to that of healthy flight (n,).
+        ``level`` is the residuals' mean square relative to that of healthy flight (n,). The result is in the unit of
+        ``shown``, which is ``sd`` in the unit of alarms (n, a).
         """
-        every = np.concatenate([self._sizes, sizes])
-        noise = sd * np.sqrt(level)[:, None]
-        way = np.maximum(np.abs(sizes - every[: len(sizes)]) - 2.0 * noise, 0.0)
-        self._sizes = every[len(sizes) :]
-        total: NDArray[np.float64] = np.sqrt(noise * noise + way * way + (SHARE * sizes) ** 2)
-        return total
+        return self._of_sizes.run(sd, sizes, level, shown)
 
 
 def _padded(matrix: NDArray[np.float64], size: int) -> NDArray[np.float64]:

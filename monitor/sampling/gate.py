@@ -16,7 +16,6 @@ about, are forgotten.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 from adapters.batch import Batch
 from adapters.sample import Given, Samples, joined_samples
 from adapters.toml_tables import Table
-from monitor.core.sampling import Settling, VehicleClock, sample_batch
+from monitor.core.sampling import Lifting, Settling, VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler
 from monitor.sampling.supply import Supply, SupplyRule
@@ -38,14 +37,6 @@ that it has landed or is disarmed, or with the next message of them: one sample 
 _HOVERING = 1.8
 """Mean command of what lifts off, in ``airborne_command``: nine tenths of that of the fitted flights, of which that is
 the half. To lift off takes more than to hover; of flights that only hover every second sample has less than all."""
-_LOW_NS = 500_000_000
-"""How long a command has to be below ``airborne_command`` until the vehicle no longer flies. Half of the command of
-hovering carries half of the weight at most: in the air it would sink 2.5 m/s faster by then. Of a PX4 that reported
-"in the air" for 3 to 5 s after touch-down, with a tenth of the command of hovering, the first false alarm came after
-1.3 s."""
-_LIFTED_NS = 10_000_000_000
-"""A vehicle that has reported for so long that it flies is believed: without a load it hovers with less. Chosen: twice
-the longest of the slow take-offs seen (4 s)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +76,9 @@ class FlightGate:
         self._settling = Settling(rule.settle_s)
         self._driven: int | None = None
         self._command, self._commanded = 0.0, 0  # sum of the mean commands since they are looked at, and how many
-        self._lifted = False  # whether a vehicle that reports that it flies has lifted off, and not come down since
-        self._low_ns: int | None = None  # vehicle time since which its command is too small for flight; None: it is not
-        self._reported_ns: int | None = None  # vehicle time since which it reports that; None where it does not
-        self._down = self.down = False  # whether it came down by its command, and still reports that it flies; lately
-        # the last row of the latest samples before it lifted off; or with a mean command too small for flight, too
-        self._waits, self._idle = -1, -1
+        self._lifting = Lifting(rule.airborne_command, _HOVERING * rule.airborne_command)
+        self._reported = False  # whether the vehicle reported that it flies in the latest samples
+        self.down = False  # whether it came down by its command in them or before, and still reports that it flies
         self.by_command = False
         self._lift = lift
         self._least = lift.least_command if lift is not None and commands and lift.least_command > 0.0 else None
@@ -99,7 +87,8 @@ class FlightGate:
     @property
     def idle(self) -> int:
         """The last row of the latest samples with a mean command too small for flight; -1 where there was none."""
-        return self._idle
+        waits = self._lifting.waits if self._reported else -1
+        return max(waits, self._settling.idle if self.by_command else -1)
 
     @property
     def airborne(self) -> bool | None:
@@ -138,51 +127,15 @@ class FlightGate:
         self.carried = lift is None or phase.carried in (None, lift.by)
         allowed, least = allows(rule, phase), rule.airborne_command if by_command else self._least
         if not allowed:
-            self._lifted, self._reported_ns, self._low_ns, self._down = False, None, None, False
-        self.down, self._waits = self._down, -1
-        reported = allowed and rule.require_airborne and commands and phase.landed is not None
-        flies = self._flies(samples, phase.low or phase.logged) if reported else np.ones(len(samples), np.bool_)
-        cuts = [0, *(np.flatnonzero(np.diff(flies)) + 1).tolist(), len(samples)]
-        parts = [
-            self._settling.run(samples.part(start, stop), self.carried and allowed and bool(flies[start]), least)
-            for start, stop in pairwise(cuts)
-            if start < stop
-        ]
-        self._idle = max(self._waits, self._settling.idle if self.by_command else -1)
+            self._lifting.forget()
+        self.down, flies = self._lifting.down, None
+        self._reported = allowed and rule.require_airborne and commands and phase.landed is not None
+        if self._reported:
+            flies = self._lifting.run(samples, phase.low or phase.logged)
+            self.down |= self._lifting.fell
+        admitted = self._settling.run(samples, self.carried and allowed, least, flies)
         self.carried &= self._least is None or self._settling.commanded
-        return np.concatenate(parts) if parts else flies
-
-    def _flies(self, samples: Samples, landed: bool) -> NDArray[np.bool_]:
-        """Return which samples of a vehicle that reports that it flies are from after it lifted off (n,).
-
-        A vehicle that came down by its command is ``landed`` if it is at about the height of its home, or if its own
-        log says so, which nobody alters: it then waits for its next take-off, however long its landing detector takes
-        (14 s in a flight of PX4).
-        """
-        times_ns, command = samples.vehicle_time_ns, samples.u.mean(axis=1)
-        low = command < self._rule.airborne_command
-        if self._lifted and not low.any():
-            self._low_ns = None
-            return np.ones(len(samples), np.bool_)
-        hovers = command >= _HOVERING * self._rule.airborne_command
-        flies = np.empty(len(samples), np.bool_)
-        for row, (time_ns, is_low) in enumerate(zip(times_ns.tolist(), low.tolist(), strict=True)):
-            if self._reported_ns is None:
-                self._reported_ns = time_ns
-            if not self._lifted:
-                self._lifted = bool(hovers[row]) or (not is_low and time_ns - self._reported_ns >= _LIFTED_NS)
-                self._down &= not self._lifted
-                if not self._lifted and (landed or not self._down):
-                    self._waits = row
-            elif not is_low:
-                self._low_ns = None
-            elif self._low_ns is None:
-                self._low_ns = time_ns
-            elif time_ns - self._low_ns >= _LOW_NS:
-                self._lifted, self._reported_ns, self._low_ns = False, time_ns, None
-                self._down = self.down = True
-            flies[row] = self._lifted
-        return flies
+        return admitted
 
 
 class GatedSamples(NamedTuple):
