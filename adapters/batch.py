@@ -7,7 +7,7 @@ by one: :func:`messages` returns them, :func:`pack` makes a batch from messages.
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import repeat
 from typing import Any, Final, NamedTuple
 
@@ -86,8 +86,7 @@ class RecordFields(Mapping[str, NDArray[np.generic]]):
 Fields = Mapping[str, NDArray[np.generic]]
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
+class Columns(NamedTuple):
     """The m messages of one name and one sender in a batch."""
 
     source: Source  # as of :class:`adapters.message.Message`
@@ -194,15 +193,14 @@ def cut(batch: Batch, start: int, stop: int) -> Batch:
         if first == last:
             continue
         part = rows_of(group, slice(int(first), int(last)))
-        columns.append(replace(part, position=part.position - start))
+        columns.append(part._replace(position=part.position - start))
     others = {index - start: message for index, message in batch.others.items() if start <= index < stop}
     return Batch(stop - start, tuple(columns), others)
 
 
 def rows_of(columns: Columns, part: slice | NDArray[np.intp]) -> Columns:
     """Return the messages of columns at the given rows."""
-    return replace(
-        columns,
+    return columns._replace(
         position=columns.position[part],
         received_ns=columns.received_ns[part],
         fields=_rows(columns.fields, part),
@@ -237,7 +235,7 @@ def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch
     closed = []
     start = len(others)
     for group in kept.values():
-        closed.append(replace(group, position=rank[start : start + len(group.position)]))
+        closed.append(group._replace(position=rank[start : start + len(group.position)]))
         start += len(group.position)
     return Batch(len(indices), tuple(closed), dict(zip(rank.tolist(), others.values(), strict=False)))
 
@@ -303,8 +301,7 @@ def _concatenated(alike: Sequence[tuple[int, Columns]]) -> Columns:
     if len(alike) == 1 and not alike[0][0]:
         return alike[0][1]
     counts = [len(columns.position) for _, columns in alike]
-    return replace(
-        alike[0][1],
+    return alike[0][1]._replace(
         position=np.concatenate([columns.position for _, columns in alike])
         + np.repeat(np.array([offset for offset, _ in alike]), counts),
         received_ns=np.concatenate([columns.received_ns for _, columns in alike]),
@@ -326,8 +323,7 @@ def _in_order(columns: Columns) -> Columns:
     if (np.diff(columns.position) > 0).all():
         return columns
     order = np.argsort(columns.position)
-    return replace(
-        columns,
+    return columns._replace(
         position=columns.position[order],
         received_ns=columns.received_ns[order],
         fields={name: values[order] for name, values in columns.fields.items()},

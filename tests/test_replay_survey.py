@@ -120,7 +120,7 @@ def _with_speeds(columns: Columns) -> Columns:
         return columns
     pulses = {name: np.asarray(columns.fields[name], np.int64) for name in (f"servo{n}_raw" for n in range(1, 5))}
     speeds = {name: np.where(p, np.round(150 + 0.85 * (p - 1000)), 0).astype(np.int64) for name, p in pulses.items()}
-    return replace(columns, fields={**columns.fields, **speeds})
+    return columns._replace(fields={**columns.fields, **speeds})
 
 
 @pytest.mark.long

@@ -209,7 +209,7 @@ class _Telemetry:
         only = self._only
         for group in batch.columns:
             if only is None or group.name in only:
-                columns.append(replace(group, position=_place(self._passed + group.position)))
+                columns.append(group._replace(position=_place(self._passed + group.position)))
         others = {
             int(_place(self._passed + at)): message
             for at, message in batch.others.items()

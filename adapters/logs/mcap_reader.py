@@ -7,7 +7,7 @@ import os
 import struct
 import zlib
 from collections.abc import Collection, Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -271,7 +271,7 @@ def _first(data: Iterator[_Raw], count: int) -> Iterator[_Raw]:
 def _batch(columns: list[Columns], single: Mapping[int, Message]) -> Batch:
     """Return columns that were decoded together and single messages as a batch; messages become columns if they can."""
     packed, index = pack([*single.values()]), np.array([*single], np.int64)
-    columns += (replace(group, position=index[group.position]) for group in packed.columns)
+    columns += (group._replace(position=index[group.position]) for group in packed.columns)
     return gathered(columns, {int(index[at]): message for at, message in packed.others.items()})
 
 
