@@ -488,7 +488,7 @@ class ObserverChain:
                 if (alarm := self._alarm_of[fault]) >= 0:
                     louder = np.sqrt(changes.noise[:, output]) * self._healthy[fault]
                     alarm_scale[:, alarm] = scale[:, fault] = np.maximum(scale[:, fault], louder)
-            if changes.named.max(initial=-1) < 0:
+            if max(changes.named.tolist(), default=-1) < 0:
                 changes = None
             elif effects:
                 changes = self._effectiveness.of_change(changes, samples, effects)

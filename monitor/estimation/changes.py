@@ -149,6 +149,7 @@ class ChangeStage:
         self._rate_hz, self._adds, self._partly = rate_hz, bool(added), bool(rule.lasts_s)
         self._u, self._y = np.zeros((1, len(plant.inputs))), np.zeros((1, n))
         self._judged, self._usable = judged, np.zeros((1, len(judged)), np.bool_)
+        self._all = np.ones(len(judged), np.bool_)
         # the judged output whose noise is that of a sensor's fault, by the index of the fault
         self.noisy = {
             list(inputs).index(fault.name): judged.index(output)
@@ -184,7 +185,7 @@ class ChangeStage:
     def _given(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return u and y with those of the samples before beside them, as far as the prediction needs them."""
         inputs = samples.u.shape[1]
-        usable = np.repeat((samples.measured & samples.complete)[:, None], len(self._judged), axis=1)
+        usable = (samples.measured & samples.complete)[:, None] & self._all
         if self._adds:
             lost = samples.lost[:, inputs:]
             if self._partly:

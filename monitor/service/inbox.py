@@ -281,13 +281,9 @@ class Inbox:
 
 def _waited_s(batch: Batch) -> float:
     """Return how long the first message of a batch has waited in the kernel, seconds."""
-    first_ns = min(
-        *(int(columns.received_ns[0]) for columns in batch.columns),
-        *(message.received_ns for message in batch.others.values()),
-        time.time_ns(),
-        time.time_ns(),
-    )
-    waited_s = (time.time_ns() - first_ns) / 1e9
+    now_ns = time.time_ns()
+    times_ns = [int(columns.received_ns[0]) for columns in batch.columns]
+    waited_s = (now_ns - min([now_ns, *times_ns, *(one.received_ns for one in batch.others.values())])) / 1e9
     return waited_s if waited_s < _LONGEST_WAIT_S else 0.0
 
 

@@ -6,7 +6,8 @@ import time
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+
+import numpy as np
 
 _LARGEST_NS = (1 << 40) - 1
 """Largest latency: 18 minutes; a larger one counts as this one."""
@@ -64,11 +65,12 @@ class LatencyBuckets:
 class Latencies:
     """Latencies since the start, by size, and those of the last interval (the latest 65,536 at most).
 
-    One thread adds latencies and ends intervals; other threads may read.
+    For one thread.
     """
 
     def __init__(self) -> None:
-        self._counts = [0] * (len(_BOUNDS) + 1)
+        self._unread: list[int] = []
+        self._counts = np.zeros(len(_BOUNDS) + 1, np.int64)
         self._sum_ns = 0
         self._latest: deque[int] = deque(maxlen=_KEPT)
         self.interval = LatencyStatistics()
@@ -78,10 +80,19 @@ class Latencies:
 
         A negative one (a clock was set back) counts as zero, one above 18 min as 18 min.
         """
-        for latency_ns in (min(max(given, 0), _LARGEST_NS) for given in latencies_ns):
-            self._counts[min(max(latency_ns.bit_length() - _BOUNDS[0], 0), len(_BOUNDS))] += 1
-            self._sum_ns += latency_ns
-            self._latest.append(latency_ns)
+        self._unread += latencies_ns
+        if len(self._unread) >= _KEPT:
+            self._count()
+
+    def _count(self) -> None:
+        """Count what came since the last call: all at once costs much less than one by one."""
+        latencies = np.array([min(max(one, 0), _LARGEST_NS) for one in self._unread], np.int64)
+        self._unread = []
+        # the exponent of a number is its length in bits
+        bins = np.clip(np.frexp(latencies)[1] - _BOUNDS[0], 0, len(_BOUNDS))
+        self._counts += np.bincount(bins, minlength=len(self._counts))
+        self._sum_ns += int(latencies.sum())
+        self._latest.extend(latencies.tolist())
 
     def end_interval(self) -> LatencyStatistics:
         """Return the statistics since the last call, which becomes the last interval, and begin the next one."""
@@ -91,6 +102,7 @@ class Latencies:
 
     def statistics(self) -> LatencyStatistics:
         """Return the statistics of the current interval."""
+        self._count()
         ordered = sorted(self._latest)
         if not ordered:
             return LatencyStatistics()
@@ -99,6 +111,6 @@ class Latencies:
 
     def buckets(self) -> LatencyBuckets:
         """Return the histogram since the start."""
-        return LatencyBuckets(
-            tuple((1 << bound) / 1e9 for bound in _BOUNDS), tuple(accumulate(self._counts)), self._sum_ns / 1e9
-        )
+        self._count()
+        counts = tuple(np.cumsum(self._counts).tolist())
+        return LatencyBuckets(tuple((1 << bound) / 1e9 for bound in _BOUNDS), counts, self._sum_ns / 1e9)
