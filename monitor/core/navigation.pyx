@@ -167,6 +167,16 @@ cdef enum:
     _OWN = 10
 
 
+cdef int filled(const double* row, int* columns) noexcept:
+    """Write the columns of a row's entries that are not zero; return their number."""
+    cdef int i, count = 0
+    for i in range(STATES):
+        if row[i] != 0.0:
+            columns[count] = i
+            count += 1
+    return count
+
+
 cdef class Navigation:
     """The filter and its tests.
 
@@ -550,27 +560,35 @@ cdef class Navigation:
         """Predict covariance and signatures from the fix before to this one."""
         cdef double[STATES][STATES] half
         cdef double[STATES] moved
+        # Most entries of F are zero: the columns of the others of each row, and their number.
+        cdef int[STATES][STATES] columns
+        cdef int[STATES] used
+        cdef double total
         cdef Signature* signature
-        cdef int i, j, k, h, n = self.onsets()
+        cdef int i, j, k, h, m, n = self.onsets()
         for i in range(STATES):
-            for j in range(STATES):
-                half[i][j] = 0.0
-                for k in range(STATES):
+            used[i] = filled(self._F[i], columns[i])
+        for i in range(STATES):
+            memset(half[i], 0, sizeof(half[i]))
+            for m in range(used[i]):
+                k = columns[i][m]
+                for j in range(STATES):
                     half[i][j] += self._F[i][k] * self._P[k][j]
         for i in range(STATES):
             for j in range(i + 1):
-                self._P[i][j] = self._Q[i][j]
-                for k in range(STATES):
-                    self._P[i][j] += half[i][k] * self._F[j][k]
-                self._P[j][i] = self._P[i][j]
+                total = self._Q[i][j]
+                for m in range(used[j]):
+                    total += half[i][columns[j][m]] * self._F[j][columns[j][m]]
+                self._P[i][j] = self._P[j][i] = total
         for k in range(n):
             signature = &self._signatures[k]
             signature.age_s += self._step_s
             for h in range(HYPOTHESES):
                 for i in range(STATES):
-                    moved[i] = 0.0
-                    for j in range(STATES):
-                        moved[i] += self._F[i][j] * signature.state[h][j]
+                    total = 0.0
+                    for m in range(used[i]):
+                        total += self._F[i][columns[i][m]] * signature.state[h][columns[i][m]]
+                    moved[i] = total
                 memcpy(&signature.state[h][0], moved, sizeof(moved))
         memset(self._F, 0, sizeof(self._F))
         memset(self._Q, 0, sizeof(self._Q))
@@ -587,9 +605,10 @@ cdef class Navigation:
         cdef double[STATES] x
         cdef double[STATES] of_state
         cdef double[STATES] H
+        cdef int[STATES] columns
         cdef double S, nu, expected, first = 0.0
         cdef Signature* signature
-        cdef int m, i, j, k, h, n
+        cdef int m, i, j, k, h, n, used
         self._count += 1
         n = self.onsets()
         self._count -= 1
@@ -603,11 +622,12 @@ cdef class Navigation:
                 H[_V + m] = 1.0
             else:
                 self.turn_field(H)
+            used = filled(H, columns)
             S, nu = variance[m], innovation[m]
             for i in range(STATES):
                 of_state[i] = 0.0
-                for j in range(STATES):
-                    of_state[i] += self._P[i][j] * H[j]
+                for j in range(used):
+                    of_state[i] += self._P[i][columns[j]] * H[columns[j]]
             for i in range(STATES):
                 S += H[i] * of_state[i]
                 nu -= H[i] * x[i]
@@ -618,8 +638,8 @@ cdef class Navigation:
                 signature = &self._signatures[k]
                 for h in range(HYPOTHESES):
                     expected = 0.0
-                    for i in range(STATES):
-                        expected += H[i] * signature.state[h][i]
+                    for i in range(used):
+                        expected += H[columns[i]] * signature.state[h][columns[i]]
                     if h == _JUMP + m:
                         expected += 1.0
                     elif h == _RAMP + m:
