@@ -208,6 +208,9 @@ cdef class ErrorCovariance:
     """
 
     cdef double[:, :, :, ::1] A, Q
+    # The columns of each row's entries of A and Q that are not zero, before the others, and their number.
+    cdef Py_ssize_t[:, :, :, ::1] of_A, of_Q
+    cdef Py_ssize_t[:, :, ::1] count_A, count_Q
     cdef double[:, :, ::1] P, start, steady
     cdef double[:, ::1] AP, PA
     cdef Py_ssize_t[::1] owner, entry
@@ -217,6 +220,8 @@ cdef class ErrorCovariance:
 
     def __init__(self, A, Q, steady, start, owner, entry, scale, tolerance):
         self.A, self.Q = np.ascontiguousarray(A), np.ascontiguousarray(Q)
+        self.of_A, self.of_Q = (np.argsort(M == 0.0, axis=-1, kind="stable").astype(np.intp) for M in (A, Q))
+        self.count_A, self.count_Q = (np.count_nonzero(M, axis=-1).astype(np.intp) for M in (A, Q))
         self.steady, self.start = np.ascontiguousarray(steady), np.ascontiguousarray(start)
         self.P = np.array(steady)
         self.AP, self.PA = np.empty((2, *steady.shape[1:]))
@@ -260,31 +265,33 @@ cdef class ErrorCovariance:
         return sqrt(variance) if variance > 0.0 else 0.0
 
     cdef void propagate(self, int kind) noexcept:
-        """P = A P A' + Q; A is sparse, and P A' = (A P)' because P is symmetric."""
-        cdef Py_ssize_t k, i, j, size = self.P.shape[1]
+        """P = A P A' + Q; A and Q are sparse, and P A' = (A P)' because P is symmetric."""
+        cdef Py_ssize_t k, i, j, m, size = self.P.shape[1]
         for k in range(self.P.shape[0]):
-            multiply_rows(self.A[k, kind], self.P[k], self.AP)
+            self.multiply(k, kind, self.P[k], self.AP)
             for i in range(size):
                 for j in range(size):
                     self.PA[i, j] = self.AP[j, i]
-            multiply_rows(self.A[k, kind], self.PA, self.P[k])
+            self.multiply(k, kind, self.PA, self.P[k])
             for i in range(size):
-                for j in range(size):
+                for m in range(self.count_Q[k, kind, i]):
+                    j = self.of_Q[k, kind, i, m]
                     self.P[k, i, j] += self.Q[k, kind, i, j]
 
-
-cdef void multiply_rows(const double[:, ::1] A, const double[:, ::1] B, double[:, ::1] out) noexcept:
-    """Write A B, skipping the zeros of A."""
-    cdef Py_ssize_t i, j, m, size = B.shape[1]
-    cdef double factor
-    for i in range(A.shape[0]):
-        for j in range(size):
-            out[i, j] = 0.0
-        for m in range(A.shape[1]):
-            factor = A[i, m]
-            if factor != 0.0:
+    cdef void multiply(self, Py_ssize_t k, int kind, const double[:, ::1] B, double[:, ::1] out) noexcept:
+        """Write A B."""
+        cdef Py_ssize_t i, j, m, size = B.shape[1]
+        cdef double factor
+        cdef const double* row
+        cdef double* sums
+        for i in range(size):
+            sums = &out[i, 0]
+            for j in range(size):
+                sums[j] = 0.0
+            for m in range(self.count_A[k, kind, i]):
+                row, factor = &B[self.of_A[k, kind, i, m], 0], self.A[k, kind, i, self.of_A[k, kind, i, m]]
                 for j in range(size):
-                    out[i, j] += factor * B[m, j]
+                    sums[j] += factor * row[j]
 
 
 cdef class SizeErrors:
