@@ -140,7 +140,6 @@ cdef class Navigation:
     cdef double led(self, int axis) noexcept
     cdef void begin(self, const double* R) noexcept
     cdef double own(self, Signature* signature, double* size) noexcept
-    cdef void learn_own(self, Signature* signature) noexcept
     cdef void propagate(self) noexcept
     cdef void turn_field(self, double* H) noexcept
     cdef void update(self, const double* innovation, const double* variance) noexcept

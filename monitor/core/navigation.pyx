@@ -691,6 +691,7 @@ cdef class Navigation:
         """Believe the fault that is by far the likeliest, or the end of one."""
         cdef double[HYPOTHESES] best
         cdef double[HYPOTHESES] end
+        cdef double[2] own
         cdef int[HYPOTHESES] onset, ended
         cdef double likelihood, others, size, least, level
         cdef Signature* signature
@@ -701,7 +702,7 @@ cdef class Navigation:
             best[h], onset[h], end[h], ended[h] = 0.0, 0, 0.0, 0
         for k in range(n):
             signature = &self._signatures[k]
-            likelihood = self.own(signature, NULL)
+            likelihood = self.own(signature, own)
             if likelihood > best[_OWN]:
                 best[_OWN], onset[_OWN] = likelihood, k
             for h in range(_OWN):
@@ -751,7 +752,9 @@ cdef class Navigation:
         ):
             signature = &self._signatures[onset[which]]
             if which == _OWN:
-                self.learn_own(signature)
+                self.own(signature, own)
+                for h in range(2):
+                    self.jump(signature, _OWN + h, own[h], 0.0)
                 return
             size = signature.matched[which] / signature.energy[which]
             least = _LEAST[which >= 3] if which < _JUMP else _LEAST_RAMP if which >= _RAMP else 0.0
@@ -778,28 +781,12 @@ cdef class Navigation:
                 return
 
     cdef double own(self, Signature* signature, double* size) noexcept:
-        """Return the likelihood of a field of the vehicle's own since an onset; fill in its components, if asked."""
+        """Return the likelihood of a field of the vehicle's own since an onset; fill in its components."""
         cdef double x = signature.energy[_OWN] + _rarity(_OWN), y = signature.energy[_OWN + 1] + _rarity(_OWN)
         cdef double along_x = signature.matched[_OWN], along_y = signature.matched[_OWN + 1], both = signature.crossed
         cdef double determinant = x * y - both * both
-        cdef double size_x = (along_x * y - along_y * both) / determinant
-        cdef double size_y = (along_y * x - along_x * both) / determinant
-        if size:
-            size[0], size[1] = size_x, size_y
-        return 0.5 * (size_x * along_x + size_y * along_y)
-
-    cdef void learn_own(self, Signature* signature) noexcept:
-        """Subtract a field of the vehicle's own from now on."""
-        cdef double[2] size
-        cdef double[STATES] x
-        cdef int i
-        self.own(signature, size)
-        for i in range(STATES):
-            x[i] = size[0] * signature.state[_OWN][i] + size[1] * signature.state[_OWN + 1][i]
-        for i in range(2):
-            self._own[i] += size[i] * self._horizontal
-        self.correct(x)
-        self._count = self._helpless = 0
+        size[0], size[1] = (along_x * y - along_y * both) / determinant, (along_y * x - along_x * both) / determinant
+        return 0.5 * (size[0] * along_x + size[1] * along_y)
 
     cdef void end(self, Signature* signature, int which) noexcept:
         """Remove a fault from the state."""
@@ -831,6 +818,8 @@ cdef class Navigation:
                 self._missed[which] += size * signature.age_s
         elif which < _TURN:
             self.put_off(which - _JUMP, size)
+        elif which >= _OWN:
+            self._own[which - _OWN] += size * self._horizontal
         elif which >= _RAMP:
             self._offset[which - _RAMP] += size * signature.age_s
             self._drift[which - _RAMP] += size
