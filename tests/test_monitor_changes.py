@@ -438,13 +438,14 @@ def test_the_noise_of_a_sensor_is_followed_and_no_fault_raises_it(sensors: tuple
     column = sensors[0].outputs.index("gps_north")
     flown = travel(np.random.default_rng(29), 30.0)
     healthy = judged(sensors[0], flown).noise[500:, column]
-    assert healthy.max() < 2.0
+    assert healthy.max() < 2.5
     for ramp in (False, True):
         faulty = travel(np.random.default_rng(29), 30.0)
         faulty.samples.y[:] += course("gps_north", 4.0, ramp, 500, len(flown))
-        assert judged(sensors[0], faulty).noise[500:, column].max() < 2.0
+        # a jump is on its way through the dozen rows of the whitening
+        assert judged(sensors[0], faulty).noise[500:, column].max() < 5.0
     flown.samples.y[500:, OUTPUTS.index("gps_north")] += 0.06 * np.random.default_rng(30).normal(size=len(flown) - 500)
-    assert judged(sensors[0], flown).noise[600:, column].min() > 5.0
+    assert judged(sensors[0], flown).noise[600:, column].min() > 8.0
 
 
 def test_heavy_tails_raise_no_more_alarms_than_promised(sensors: tuple[ChangeRule, float]) -> None:

@@ -27,9 +27,6 @@ cdef double NOISE_OF_AXIS = 1.0
 # present level: another stream of a sensor (less filtered, of another rate or rounding) may have any noise, and the
 # level follows it.
 cdef double LEVEL_CLIP = 9.0
-# The same of the noise alone. Chosen: two deviations; a step through the whitening's dozen rows raises it by two, and
-# normal noise reads a fifth too small.
-cdef double NOISE_CLIP = 4.0
 # Largest size of a loss. Chosen: a quarter more than everything, as sizes from the first samples are rough.
 cdef double LARGEST_LOSS = 1.25
 # Two onsets are fitted together if the determinant of their information, as a share of the product of its diagonal, is
@@ -458,7 +455,7 @@ cdef class ChangeTest:
             square = e * e / (self.sigma[i] * self.sigma[i])
             if self.driven and self.known[i] > self.P + 1:
                 apart = 0.5 * (e - self.last_e[i]) * (e - self.last_e[i]) / (self.sigma[i] * self.sigma[i])
-                self.noise[i] += self.follow * (min(apart, NOISE_CLIP * max(1.0, self.noise[i])) - self.noise[i])
+                self.noise[i] += self.follow * (min(apart, LEVEL_CLIP * max(1.0, self.noise[i])) - self.noise[i])
             self.last_e[i] = e
             # Gusts that the fitted flights did not have; never below the level of those flights.
             level = max(1.0, self.level[i])
