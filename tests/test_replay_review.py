@@ -506,10 +506,13 @@ def test_what_is_broken_in_every_turn_is_a_finding_although_each_alarm_ends() ->
     assert names(watched(*often[:2], vehicle="rover")) == []
 
 
-def test_most_motors_at_once_are_no_motors_fault() -> None:
+def test_more_than_two_motors_or_axes_at_once_are_no_fault_of_one() -> None:
     alarms = [replace(LEARNED["actuator_effect"], channel=f"motor{k}") for k in range(1, 4)]
     assert names(watched(*alarms)) == []
     assert len(names(watched(*alarms[:2]))) == 2
+    axes = [replace(LEARNED["sensor_effect"], channel=name) for name in ("gyro_x", "gyro_y", "accel_x")]
+    assert names(watched(*axes)) == []
+    assert len(names(watched(*axes[:2]))) == 2
 
 
 def test_an_alarm_that_ended_by_itself_is_information() -> None:

@@ -21,6 +21,9 @@ end after 6 to 11 s, those of GPS velocities because the observer holds a jump f
 long as the fault."""
 _TURNS = 3
 """Alarms of one surface or of the steering that are no coincidence. Chosen: a gust or a kerb is not met three times."""
+_TWO = 2
+"""Most motors, or axes of inertial sensors, that one fault alarms: it shares itself out among two that look alike."""
+_SEVERAL = {"motors": ("motor",), "axes of gyros and accelerometers": ("gyro_", "accel_")}
 _POSITIONS = ("gps_north", "gps_east", "gps_down")
 _ACCURACY_M = 2.5
 """Metres that half of a receiver's errors exceed (data sheet of u-blox's M8): a smaller error is no fault. Measured: a
@@ -85,7 +88,7 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
         accurate = channel in _POSITIONS and largest.size < _ACCURACY_M + _DELAY_S * fastest
         doubts = (
             *_still_carried(facts, largest, begin_s, until_s),
-            *_all_motors(facts, largest, sound),
+            *_together(largest, sound),
             *_few_satellites(facts, largest, until_s),
             *_faster(facts, largest),
             *_landed_before(facts, largest),
@@ -136,16 +139,16 @@ def _still_carried(facts: LogFacts, alarm: LearnedAlarm, begin_s: float, end_s: 
         yield f"the motors together lift {lifted}: something from outside turns the vehicle"
 
 
-def _all_motors(facts: LogFacts, alarm: LearnedAlarm, sound: Sequence[LearnedAlarm]) -> Iterator[str]:
-    """Yield the reason if most motors have an alarm at the same time, which none of them explains alone."""
-    count = len(facts.signal("motors").names)
-    motors = {
-        other.channel
-        for other in sound
-        if other.channel.startswith("motor") and alarm.start_s < other.end_s and other.start_s < alarm.end_s
-    }
-    if alarm.channel.startswith("motor") and len(motors) > count / 2 >= 2:
-        yield f"{len(motors)} of {count} motors have such an alarm at the same time: the cause is not one motor"
+def _together(alarm: LearnedAlarm, sound: Sequence[LearnedAlarm]) -> Iterator[str]:
+    """Yield the reason if more motors, or axes of inertial sensors, have an alarm at once than one fault explains."""
+    for what, words in _SEVERAL.items():
+        at_once = {
+            other.channel
+            for other in sound
+            if other.channel.startswith(words) and alarm.start_s < other.end_s and other.start_s < alarm.end_s
+        }
+        if alarm.channel.startswith(words) and len(at_once) > _TWO:
+            yield f"{len(at_once)} {what} have such an alarm at the same time: the cause is not one of them"
 
 
 def _few_satellites(facts: LogFacts, alarm: LearnedAlarm, end_s: float) -> Iterator[str]:
