@@ -33,7 +33,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, throttle: Lo
     # the attitude must have followed before: an estimator may not know its attitude yet
     far &= np.logical_or.accumulate(judged & ~far)
     motors = facts.signal("motors")
-    spans = (span for span in spans_where(times, far, _APART_S) if _turned(attitude, *span))
+    spans = (span for span in spans_where(times, far, _APART_S) if _left(attitude, apart, *span))
     for start, end in [span for span in spans if not undisturbed(facts, span[0])][:1]:
         within = (times >= start) & (times <= end)
         axis = int(np.argmax(np.nanmax(apart[within], axis=0)))
@@ -65,10 +65,11 @@ def _apart(attitude: LogSignal, wanted: LogSignal) -> Floats:
     return np.asarray(np.fmin.reduce(ways))
 
 
-def _turned(attitude: LogSignal, start_s: float, end_s: float) -> bool:
-    """Return whether the vehicle itself turned, be it in a spin: on the ground only the sticks move."""
-    angles = np.unwrap(attitude.during(start_s - 2 * _APART_S, end_s).values, period=360.0, axis=0)
-    return bool((np.ptp(angles, axis=0) > _APART_DEG / 2).any())
+def _left(attitude: LogSignal, apart: Floats, start_s: float, end_s: float) -> bool:
+    """Return whether the attitude itself moved away: on the ground only the sticks move."""
+    first, last = np.searchsorted(attitude.time_s, (start_s - 2 * _APART_S, end_s))
+    moved = np.ptp(attitude.values[first:last, :2], axis=0)
+    return bool((moved[apart[first:last].max(axis=0) > _APART_DEG] > _APART_DEG / 2).any())
 
 
 _AGO = 6
@@ -90,7 +91,7 @@ RULE = Rule(
     counter=(
         "motors were commanded above idle until then: the autopilot did not drop the vehicle",
         f"it is far from every value wanted in the last {_APART_S:g} s; with full sticks it would not be",
-        "the vehicle itself turned; on the ground only the sticks would",
+        "the attitude itself moved; on the ground only the sticks would",
         "accelerometers or the barometer show a blow, a fall or a tilt, if the log has them",
     ),
     needs=("attitude", "attitude_wanted", "throttle"),
