@@ -14,7 +14,9 @@ steady turns, and is covered by tau there.
 
 The field R m points h west of north: declination and the vehicle's own field, a random walk as well. An error of the
 attitude turns it by d_down - (m_down / m_horizontal^2) (m_north d_north + m_east d_east). A faulty gyro z turns it
-steadily, a faulty magnetometer at once. Its delay behind these gyros is an estimated constant, which shows in turns
+steadily, a faulty magnetometer at once. A field of the vehicle's own that arises in flight turns with the body, so in a
+turn its direction moves as if gyro z read too much: its components along x and y are one more hypothesis, and are
+subtracted once they are believed. The field's delay behind these gyros is an estimated constant, which shows in turns
 (the fitted delay is relative to the autopilot's attitude, which is less late than the gyros). The autopilot's heading
 follows gyro and magnetometer, so it is no evidence: without a magnetic field it keeps R from drifting, and gyro z is
 not judged.
@@ -731,8 +733,8 @@ cdef class Navigation:
             if best[h] > best[which]:
                 which = h
         for h in range(HYPOTHESES):
-            # A field of the vehicle's own turns the heading alone. It has one component more than a gyro, and the odds
-            # that pays for it: -1/2 log(1 + sigma^2 s' S^-1 s), which is the margin.
+            # A field of the vehicle's own moves the heading alone. It has one component more than a gyro's bias, which
+            # costs it 1/2 log(1 + sigma^2 s' S^-1 s): as much as the margin once that is 400.
             if h == _OWN and (which == 2 or which == _TURN):
                 others = fmax(others, best[h] - _MARGIN)
             elif h != which and h < _OWN:
