@@ -32,7 +32,7 @@ def _judge(facts: LogFacts, motors: LogSignal) -> Iterator[Judgement]:
     if len(motors.names) < 4:
         return
     # in a dash the air turns the vehicle, too
-    steep = min(_STEEP_DEG, *(facts.parameters.get(name, np.inf) / unit for name, unit in _LIMITS.items()))
+    steep = min(_STEEP_DEG, *((facts.parameters.get(name) or np.inf) / unit for name, unit in _LIMITS.items()))
     dashes = (np.abs(facts.signal("attitude_wanted").at(motors.time_s)[:, :2]) > _NEARLY * steep).any(axis=1)
     dashes |= speed(facts).at(motors.time_s)[:, 0] > FAST_M_S
     for k, name in enumerate(motors.names):
