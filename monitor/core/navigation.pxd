@@ -35,7 +35,7 @@ cdef inline double field_rate(const double* R, const double* rate, const double*
 
 cdef enum:
     STATES = 13
-    HYPOTHESES = 12
+    HYPOTHESES = 10
     ONSETS = 30
 
 
@@ -43,8 +43,6 @@ cdef struct Signature:
     double[HYPOTHESES][STATES] state
     double[HYPOTHESES] matched
     double[HYPOTHESES] energy
-    # s_x' S^-1 s_y of the two components of a field of the vehicle's own.
-    double crossed
     # Biases of gyros and accelerometers at the onset, and their variances.
     double[5] bias
     double[5] variance
@@ -88,11 +86,6 @@ cdef class Navigation:
     cdef bint _learned
     cdef double[3] _field
     cdef double[2] _tilting
-    # A field of the vehicle's own along x and y, and the rotation of the direction by one as large as the horizontal
-    # field.
-    cdef double[2] _own
-    cdef double[2] _own_turn
-    cdef double _horizontal
     cdef double _turning
     cdef bint _pointed, _aimed
     # The largest horizontal acceleration of late; the variance of the noise of the GPS's velocity; its innovations
@@ -139,7 +132,6 @@ cdef class Navigation:
     cdef double missed(self, int axis) noexcept
     cdef double led(self, int axis) noexcept
     cdef void begin(self, const double* R) noexcept
-    cdef double own(self, Signature* signature, double* size) noexcept
     cdef void propagate(self) noexcept
     cdef void turn_field(self, double* H) noexcept
     cdef void update(self, const double* innovation, const double* variance) noexcept

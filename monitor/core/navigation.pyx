@@ -14,9 +14,7 @@ steady turns, and is covered by tau there.
 
 The field R m points h west of north: declination and the vehicle's own field, a random walk as well. An error of the
 attitude turns it by d_down - (m_down / m_horizontal^2) (m_north d_north + m_east d_east). A faulty gyro z turns it
-steadily, a faulty magnetometer at once. A field of the vehicle's own that arises in flight turns with the body, so in a
-turn its direction moves as if gyro z read too much: its components along x and y are one more hypothesis, and are
-subtracted once they are believed. The field's delay behind these gyros is an estimated constant, which shows in turns
+steadily, a faulty magnetometer at once. Its delay behind these gyros is an estimated constant, which shows in turns
 (the fitted delay is relative to the autopilot's attitude, which is less late than the gyros). The autopilot's heading
 follows gyro and magnetometer, so it is no evidence: without a magnetic field it keeps R from drifting, and gyro z is
 not judged.
@@ -130,9 +128,6 @@ cdef double[2] _MOST = [1.0, 4.0]
 # accelerometers. Without this prior, where the filter follows a fault as fast as it grows, an unrelated difference of
 # 0.1 m/s would look like 2.5 m/s^2, five times the standard deviation of that estimate.
 cdef double _SIGMAS = 3.0
-# Largest field of a vehicle's own as a share of the earth's horizontal one. ArduPilot calls interference of motors up
-# to 0.3 acceptable, and doubtful up to 0.6.
-cdef double _OWN_MOST = 0.6
 # A heading that differs by more, rad, means that the autopilot has set its attitude anew, rightly or wrongly. It is
 # used again when it agrees with the direction of motion within twice its noise.
 cdef double _TURNED = 0.5
@@ -166,7 +161,6 @@ cdef enum:
     _JUMP = 5
     _TURN = 7
     _RAMP = 8
-    _OWN = 10
 
 
 cdef int filled(const double* row, int* columns) noexcept:
@@ -244,8 +238,6 @@ cdef class Navigation:
         memset(self._missed, 0, sizeof(self._missed))
         memset(self._field, 0, sizeof(self._field))
         memset(self._tilting, 0, sizeof(self._tilting))
-        memset(self._own, 0, sizeof(self._own))
-        memset(self._own_turn, 0, sizeof(self._own_turn))
         self._declined = self._back_s = self._back_off = self._whirl = self._sharp = self._late_s = 0.0
         self._lined_s = 0.0
         self._field_late_s = self._field_delay_s
@@ -406,15 +398,11 @@ cdef class Navigation:
             turned[i] = -self._field_late_s * rate[i]
         _turned(self._R, turned, then)
         for i in range(3):
-            # Without the vehicle's own.
-            north[i] = along(then, field, i) - then[3 * i] * self._own[0] - then[3 * i + 1] * self._own[1]
+            north[i] = along(then, field, i)
         square = north[0] * north[0] + north[1] * north[1]
         if square > 0.0:
             self._direction, self._pointed = -atan2(north[1], north[0]), True
             self._tilting[0], self._tilting[1] = -north[2] * north[0] / square, -north[2] * north[1] / square
-            self._horizontal = sqrt(square)
-            for i in range(2):
-                self._own_turn[i] = (north[1] * then[i] - north[0] * then[3 + i]) / self._horizontal
             self._turning = field_rate(then, rate, field)
 
     cdef void advance(self, double* m, int apart, const double* f) noexcept:
@@ -608,7 +596,7 @@ cdef class Navigation:
         cdef double[STATES] of_state
         cdef double[STATES] H
         cdef int[STATES] columns
-        cdef double S, nu, expected, first = 0.0
+        cdef double S, nu, expected
         cdef Signature* signature
         cdef int m, i, j, k, h, n, used
         self._count += 1
@@ -646,12 +634,6 @@ cdef class Navigation:
                         expected += 1.0
                     elif h == _RAMP + m:
                         expected += signature.age_s
-                    elif h >= _OWN and m == 2:
-                        expected += self._own_turn[h - _OWN]
-                    if h == _OWN:
-                        first = expected
-                    elif h == _OWN + 1:
-                        signature.crossed += first * expected / S
                     signature.matched[h] += expected * nu / S
                     signature.energy[h] += expected * expected / S
                     for i in range(STATES):
@@ -693,7 +675,6 @@ cdef class Navigation:
         """Believe the fault that is by far the likeliest, or the end of one."""
         cdef double[HYPOTHESES] best
         cdef double[HYPOTHESES] end
-        cdef double[2] own
         cdef int[HYPOTHESES] onset, ended
         cdef double likelihood, others, size, least, level
         cdef Signature* signature
@@ -704,10 +685,7 @@ cdef class Navigation:
             best[h], onset[h], end[h], ended[h] = 0.0, 0, 0.0, 0
         for k in range(n):
             signature = &self._signatures[k]
-            likelihood = self.own(signature, own)
-            if likelihood > best[_OWN]:
-                best[_OWN], onset[_OWN] = likelihood, k
-            for h in range(_OWN):
+            for h in range(HYPOTHESES):
                 if signature.energy[h] <= 0.0:
                     continue
                 likelihood = 0.5 * signature.matched[h] * signature.matched[h] / (signature.energy[h] + _rarity(h))
@@ -733,16 +711,12 @@ cdef class Navigation:
             if best[h] > best[which]:
                 which = h
         for h in range(HYPOTHESES):
-            # A field of the vehicle's own moves the heading alone. It has one component more than a gyro's bias, which
-            # costs it 1/2 log(1 + sigma^2 s' S^-1 s): as much as the margin once that is 400.
-            if h == _OWN and (which == 2 or which == _TURN):
-                others = fmax(others, best[h] - _MARGIN)
-            elif h != which and h < _OWN:
+            if h != which:
                 others = fmax(others, best[h] - (_COINCIDENCE if h >= _RAMP and which < _RAMP else 0.0))
         level = fmin(self._level, _JUMPED) if _JUMP <= which < _TURN else self._level
         # Jumps make no sensor responsible; magnetometers are judged elsewhere.
-        self.score = 0.0 if _JUMP <= which < _RAMP or which == _OWN else best[which]
-        self._helpless = self._helpless + 1 if which != _TURN and which != _OWN and best[which] > level else 0
+        self.score = 0.0 if _JUMP <= which < _RAMP else best[which]
+        self._helpless = self._helpless + 1 if which != _TURN and best[which] > level else 0
         if self._learned and not turning and self.score > level:
             self.restart()
             self.renewed = True
@@ -753,11 +727,6 @@ cdef class Navigation:
             and (which != 2 or self._field_noise > 0.0)
         ):
             signature = &self._signatures[onset[which]]
-            if which == _OWN:
-                self.own(signature, own)
-                for h in range(2):
-                    self.jump(signature, _OWN + h, own[h], 0.0)
-                return
             size = signature.matched[which] / signature.energy[which]
             least = _LEAST[which >= 3] if which < _JUMP else _LEAST_RAMP if which >= _RAMP else 0.0
             if (
@@ -781,14 +750,6 @@ cdef class Navigation:
             elif self._faulty[h] and size > _MOST[h >= 3]:
                 self.restart()
                 return
-
-    cdef double own(self, Signature* signature, double* size) noexcept:
-        """Return the likelihood of a field of the vehicle's own since an onset; fill in its components."""
-        cdef double x = signature.energy[_OWN] + _rarity(_OWN), y = signature.energy[_OWN + 1] + _rarity(_OWN)
-        cdef double along_x = signature.matched[_OWN], along_y = signature.matched[_OWN + 1], both = signature.crossed
-        cdef double determinant = x * y - both * both
-        size[0], size[1] = (along_x * y - along_y * both) / determinant, (along_y * x - along_x * both) / determinant
-        return 0.5 * (size[0] * along_x + size[1] * along_y)
 
     cdef void end(self, Signature* signature, int which) noexcept:
         """Remove a fault from the state."""
@@ -820,8 +781,6 @@ cdef class Navigation:
                 self._missed[which] += size * signature.age_s
         elif which < _TURN:
             self.put_off(which - _JUMP, size)
-        elif which >= _OWN:
-            self._own[which - _OWN] += size * self._horizontal
         elif which >= _RAMP:
             self._offset[which - _RAMP] += size * signature.age_s
             self._drift[which - _RAMP] += size
@@ -873,8 +832,6 @@ cdef class Navigation:
 
 cdef inline double _rarity(int h) noexcept:
     """Return one over the prior variance of a hypothesis' size; 0 for jumps, which may have any size."""
-    if h >= _OWN:
-        return (_SIGMAS / _OWN_MOST) ** 2
     return (_SIGMAS / _MOST[h >= 3]) ** 2 if h < _JUMP or h >= _RAMP else 0.0
 
 
