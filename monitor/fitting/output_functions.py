@@ -38,6 +38,7 @@ is asked for more, PX4 sends over a link only the parameters that were changed s
 _COMMANDED = 9
 """First output of a servo if the outputs of a log are made of PX4's commands to motors (1 to 8) and servos."""
 _FIRST_PORT = (("port", 0),)
+"""MAVLink's number of the main outputs: the second port has those of an auxiliary processor."""
 _LARGEST = 2.0**16
 """Size of a parameter of an output from which it is damaged: pulses in microseconds, a bit for each of 16 outputs."""
 _PULSES = {True: (1000.0, 1000.0), False: (1500.0, 500.0)}
