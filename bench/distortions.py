@@ -112,8 +112,7 @@ def distorted(batch: Batch, distort: Distortion, seed: int) -> Batch:
         rows = rows[np.argsort(at[rows])]
         if len(rows):
             arrived.append(
-                replace(
-                    columns,
+                columns._replace(
                     position=at[rows],
                     received_ns=received[columns.position[rows]],
                     fields={name: values[rows] for name, values in columns.fields.items()},
