@@ -6,13 +6,19 @@ import random
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from sampled import feed
 from test_monitor_impostor import events_of
 
+from adapters.channels import Channel
 from adapters.message import Message
+from adapters.source import MAVLINK
+from monitor.core.sampling import VehicleClock
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
+from monitor.sampling.sampler import Sampler
 
 START_S = 12.0
 UNITS = {"time_boot_ms": 1e3, "time_usec": 1e6}
@@ -138,6 +144,29 @@ def test_commands_and_rates_that_do_not_belong_together_are_an_impostors(
     impostor = next(event for event in events if event.channel == "impostor")
     assert "commands that the rates do not follow" in impostor.message
     assert since_s(calm_flight, impostor) < 5.0
+
+
+@pytest.mark.parametrize("replaced", [True, False])
+def test_commands_of_10_hz_that_the_rates_do_not_follow_are_an_impostors(replaced: bool) -> None:
+    rng, clock = np.random.default_rng(1), VehicleClock()
+    clock.flies = True
+    commands = [Channel(f"motor{k}", "B", (f"motor{k}",)) for k in range(4)]
+    rates = [Channel(f"rate{k}", "A", (f"rate{k}",)) for k in range(3)]
+    to = Sampler(commands, rates, 5.0, clock, restless=True)
+    mixer = np.array([[-1.0, 1.0, 1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [0.1, 0.1, -0.1, -0.1]])
+    rate = np.zeros(3)
+    for k in range(700):
+        motors = rng.normal(0.5, 0.05, 4)
+        said = rng.normal(0.5, 0.05, 4) if replaced and k >= 400 else motors
+        fields = [
+            {f"motor{i}": float(x) for i, x in enumerate(said)},
+            {f"rate{i}": float(x) for i, x in enumerate(rate)},
+        ]
+        for name, values in zip("BA", fields, strict=True):
+            feed(to, [Message(MAVLINK, name, k * 10**8, {"time_usec": k * 10**5, **values}, 1, 1)])
+        rate = 0.9 * rate + mixer @ motors
+        assert k >= 500 or not clock.found
+    assert (("B", "response") in clock.found) == replaced
 
 
 @pytest.mark.parametrize(

@@ -57,11 +57,9 @@ cdef class Response:
     # The newest row: 1 and the differences of commands, the latest first; the outputs before.
     cdef double* _row
     cdef double* _before
-    # Of the changes of each output their sum and sum of squares in the window, and the newest one; least and largest
-    # variance in windows in which commands act.
-    cdef double* _sums
+    # Of the changes of each output their sum of squares in the window, and their least and largest variance in windows
+    # in which commands act.
     cdef double* _energies
-    cdef double* _change
     cdef double* _least
     cdef double* _most
 

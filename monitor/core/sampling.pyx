@@ -162,9 +162,9 @@ cdef nanoseconds _UNDATED = _RAW_LINE // 2
 cdef nanoseconds _LONGEST_PERIOD = 1 << 58
 
 # Fewest commands, outputs and samples a second with which rates are compared with commands. Chosen: three body rates;
-# two samples in the lag of a motor.
+# what commands of 10 Hz are sampled at, slower ones act within one sample.
 cdef int _ANSWERED = 3
-cdef double _ANSWERED_HZ = 40.0
+cdef double _ANSWERED_HZ = 4.0
 
 # Rule 4. Measured in flight on 21 healthy recordings of multirotors: commands in whole microseconds repeat in up to 11
 # messages and 0.11 s at 100 Hz, in one or two at 1 to 10 Hz, rates and IMUs never. Forgotten after _LATE_WINDOW.
@@ -1477,7 +1477,7 @@ cdef class SamplerCore:
         cdef nanoseconds* lines
         cdef Lane lane
         cdef Py_ssize_t room
-        cdef bint absent, bridged
+        cdef bint absent, bridged, known
         cdef int i
         if self._count == self._room:
             room = 2 * self._room if self._room else 8
@@ -1528,7 +1528,8 @@ cdef class SamplerCore:
         tick.unix_time = self.to_unix(due)
         tick.restart = self._restarting
         if self._response is not None:
-            self._unanswered |= self._response.take(vector, self.clock.flies and tick.complete and not tick.restart)
+            known = self.clock.flies and tick.complete and tick.measured and not tick.restart
+            self._unanswered |= self._response.take(vector, known)
         self._count += 1
         self._samples += 1
         self._restarts += tick.restart
