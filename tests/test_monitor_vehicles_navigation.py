@@ -60,6 +60,24 @@ def test_nothing_is_named_in_healthy_flight() -> None:
     assert others(named(noisy(120.0, 1)), "") == 0.0
 
 
+@pytest.mark.parametrize("apart_s", [0.5, 1.0])
+def test_a_gyro_is_named_with_its_size_where_fixes_are_slow(apart_s: float) -> None:
+    raw = noisy(45.0, 2)
+    course, ticks = np.radians(raw[:, 13]), np.arange(len(raw))
+    fixes = ticks[:: round(apart_s * truth.SIGNAL_HZ)]
+    # the sampler gives speed and course of a line between two velocities
+    north, east = (np.interp(ticks, fixes, (raw[:, 12] * f(course))[fixes]) for f in (np.cos, np.sin))
+    raw[:, 12], raw[:, 13] = np.hypot(north, east), np.degrees(np.arctan2(east, north)) % 360.0
+    transform = Strapdown(FIELD, truth.SIGNAL_HZ, truth.RATE_HZ)
+    transform.run(part(raw, 0, len(raw)))
+    assert transform.scores.max() < 0.15 * LEVEL
+    raw[ONSET:END, 3] += 0.06
+    found = named(raw)
+    assert found["gyro_x"][ONSET // 10 + 30 : END // 10] == pytest.approx(0.06, rel=0.15)
+    assert found["gyro_x"][END // 10 + 30 :] == pytest.approx(0.0)
+    assert others(found, "gyro_x") == 0.0
+
+
 def test_a_receiver_whose_noise_doubles_in_flight_is_no_fault() -> None:
     raw, rng = noisy(60.0, 8), np.random.default_rng(18)
     off = np.repeat(0.1 * rng.normal(size=len(raw) // 20), 20)

@@ -53,6 +53,8 @@ cdef struct Signature:
 cdef class Navigation:
     cdef double _dt, _level
     cdef int _every, _ticks, _count, _helpless
+    # Ticks since the newest fix, and between it and the one before.
+    cdef int _unseen, _pace
     # Time since the fix before, s.
     cdef double _step_s
     # Whether it has begun; whether the autopilot's heading is not used.

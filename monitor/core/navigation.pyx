@@ -87,7 +87,8 @@ cdef double _FIELD_UNTOLD_S = 0.08
 cdef double _LINE_S = RAW_LINE_S
 # Smallest step of the field's direction, rad, that is a faulty compass: half of the smallest fault worth an alarm.
 cdef double _FIELD_LEAST = 0.09
-# Smallest step of the GPS's velocity, m/s: the smallest motion worth an alarm.
+# Smallest step of the GPS's velocity, m/s: the smallest motion worth an alarm, and more than the largest fault of an
+# accelerometer that is believed makes between two fixes.
 cdef double _SPEED_LEAST = 1.0
 # Largest error of a measurement in standard deviations (exceeded once in two million).
 cdef double _OUTLIER = 5.0
@@ -143,11 +144,13 @@ cdef int _DENSE = 4
 # Level from which a jump of the GPS's velocity, as at a touchdown, is believed: the least level of a fault
 # (_LEAST_LEVEL of the fit). Healthy flights do not raise it, as a jump makes no sensor responsible.
 cdef double _JUMPED = 12.1
-# Shares of the usual time between two comparisons after which the filter compares with a fix, and with a point of the
-# line between two fixes. Chosen: each fix of a receiver at 5 Hz and each second one at 10 Hz; a point of the line only
-# if no fix is seen, as at constant velocity.
+# Shares of the usual time between two comparisons after which the filter compares with a fix, and, of the time between
+# the newest two fixes if that is longer, with a point of the line between two fixes. Chosen: each fix of a receiver at
+# 5 Hz or less and each second one at 10 Hz; a point of the line only if no fix is seen, as at constant velocity.
 cdef double _SOONEST = 0.7
 cdef double _LATEST = 1.5
+# Longest time between two fixes that is taken for the receiver's pace, s: slower receivers are not used on vehicles.
+cdef double _SLOWEST_S = 1.0
 
 cdef enum:
     # Indices of states and hypotheses: biases first, as in the state; then jumps of the velocity and of the field's
@@ -244,7 +247,8 @@ cdef class Navigation:
         self._pointed = self._aimed = False
         memset(self._off, 0, sizeof(self._off))
         self._speed_noise = _SPEED_NOISE[1] * _SPEED_NOISE[1]
-        self._ticks = self._count = self._helpless = 0
+        self._ticks = self._count = self._helpless = self._unseen = 0
+        self._pace = self._every
         self._turned = False
 
     cdef void go_on(
@@ -325,6 +329,7 @@ cdef class Navigation:
         memcpy(self._aligned, aligned, sizeof(aligned))
         self._lined_s = _LINE_S if lined else fmax(0.0, self._lined_s - self._dt)
         self._ticks += 1
+        self._unseen += 1
         self.point(field, R)
 
     cdef bint due(self, double measured) noexcept:
@@ -333,9 +338,13 @@ cdef class Navigation:
         On the line the velocity is a mean of two fixes and hides the motion between them. 0.5 says that fixes follow
         each other as fast as ticks.
         """
+        if measured == 1.0:
+            self._pace, self._unseen = max(self._every, min(self._unseen, <int>(_SLOWEST_S / self._dt))), 0
         if self._ticks == 0:
             return True
-        return self._ticks >= self._every * (_SOONEST if measured == 1.0 else 1.0 if measured else _LATEST)
+        if measured:
+            return self._ticks >= self._every * (_SOONEST if measured == 1.0 else 1.0)
+        return self._ticks >= self._pace * _LATEST
 
     cdef void align(self, const double* force, const double* rate, double* aligned, double* swing) noexcept:
         """Fill in a force minus biases, in the body's axes at the gyros' time, and its change per second of delay."""
@@ -429,7 +438,7 @@ cdef class Navigation:
         cdef double[3] innovation
         cdef double[3] variance
         cdef Signature* newest
-        cdef double off, timing_s
+        cdef double off, timing_s, least
         cdef bint steps = False
         cdef int i, h, older
         if self._ticks == 0:
@@ -438,11 +447,12 @@ cdef class Navigation:
             return
         self._step_s = self._ticks * self._dt
         self.propagate()
+        least = fmax(_SPEED_LEAST, _MOST[1] * self._step_s)
         for i in range(2):
             self._offset[i] += self._drift[i] * self._step_s
             innovation[i] = velocity[i] - self._offset[i] - self._velocity[i]
             variance[i] = self._speed_noise + (fmax(_TIMING_S, 0.25 * line_s) * self._sharp) ** 2
-            steps |= self.steps(i, innovation[i], variance[i] + self._P[_V + i][_V + i], _SPEED_LEAST)
+            steps |= self.steps(i, innovation[i], variance[i] + self._P[_V + i][_V + i], least)
         for i in range(2):
             if not steps:
                 self.scatter(innovation[i] - 2.0 * self._off[i][0] + self._off[i][1], variance[i])

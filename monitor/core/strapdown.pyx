@@ -691,14 +691,17 @@ cdef class StrapdownCore:
             values[0] = (sensors[0] - self._origin[0]) * self._origin[2]
             values[1] = (_modulo(sensors[1] - self._origin[1] + 180.0, 360.0) - 180.0) * self._origin[3]
             values[2] = -sensors[2]
-            values[3] = values[4] = 0.0
+            values[3] = values[4] = values[7] = 0.0
             if self._speeds == 2:
                 course = sensors[4] * _DEGREE
                 values[3], values[4] = sensors[3] * cos(course), sensors[3] * sin(course)
+                # The sampler's line is that of the velocity as a vector: its speed and course bend at each tick.
+                values[7] = self.bends(values + 3)
             elif self._speeds == 3:
                 for axis in range(2):
                     values[3 + axis] = along(R, sensors + 3, axis)
-            values[5], values[6], values[7] = lacks[_GPS], fix_line_s, self.bends(sensors + 3)
+                values[7] = self.bends(sensors + 3)
+            values[5], values[6] = lacks[_GPS], fix_line_s
             fix = self._fixes.push(values)
             full = full and fix != NULL
             sensors += 3 + self._speeds
