@@ -197,13 +197,19 @@ def test_what_a_line_hides_makes_sizes_larger_by_how_much_this_flight_shakes(sha
     assert beyond[100] == pytest.approx(1.0)
 
 
-def test_through_a_gap_the_vehicle_turns_as_its_attitude_says_which_is_earlier_than_gyros() -> None:
-    raw, early_s = truth.signals(40.0), 0.012
+def swinging(early_s: float) -> np.ndarray:
+    """Return signals of a vehicle that rolls in several swings, whose attitude is ahead of its gyros."""
+    raw = truth.signals(40.0)
     t = np.arange(len(raw)) / truth.SIGNAL_HZ
     raw[:, 3:9] = 0.0
     for hertz in (0.4, 1.1, 1.9):
         raw[:, 3] += np.cos(2.0 * np.pi * hertz * t)
         raw[:, 6] += np.sin(2.0 * np.pi * hertz * (t + early_s)) / (2.0 * np.pi * hertz)
+    return raw
+
+
+def test_through_a_gap_the_vehicle_turns_as_its_attitude_says_which_is_earlier_than_gyros() -> None:
+    raw = swinging(0.012)
     gaps = np.arange(1000, len(raw) - 100, 67)
     turned, lines = [], over_gaps(raw, gaps, 12)
     for samples in (raw_samples(raw), lines):
@@ -211,6 +217,18 @@ def test_through_a_gap_the_vehicle_turns_as_its_attitude_says_which_is_earlier_t
         turned.append(np.cumsum(transform.run(samples).samples.u[:, transform.inputs.index("rate_x")]) / truth.RATE_HZ)
     by_gyros = np.cumsum(lines.u[:, 3] - raw[:, 3]) / truth.SIGNAL_HZ
     assert np.median(abs(turned[1] - turned[0])) < 0.25 * np.median(abs(by_gyros[1000:]))
+
+
+def test_a_gap_leaves_the_difference_of_attitude_and_gyros_as_if_all_had_been_measured() -> None:
+    raw, share = swinging(0.012), 0.25
+    gaps = np.arange(1000, len(raw) - 100, 167)
+    apart = []
+    for samples in (raw_samples(raw), over_gaps(raw, gaps, 12)):
+        transform = Strapdown({"attitude_share": share, "judge_level": 1e9}, truth.SIGNAL_HZ, truth.RATE_HZ)
+        given = transform.run(samples).samples
+        rate, turned = transform.inputs.index("rate_x"), transform.outputs.index("rotation_x")
+        apart.append(given.y[:, turned] - washed(given.u[:, rate], 30.0))
+    assert np.std(apart[1] - apart[0]) < 0.1 * np.std(apart[0])
 
 
 def test_a_restart_forgets_the_past() -> None:

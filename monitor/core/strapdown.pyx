@@ -620,7 +620,7 @@ cdef class StrapdownCore:
         cdef double[9] before
         cdef double[3] mean
         cdef double[9] upright
-        cdef double biased, course
+        cdef double biased, course, share
         cdef bint full, first, steep = False, bridged, still
         cdef int i = 0, k = 0, axis
         values[0], values[1] = cos(signals[6]), sin(signals[6])
@@ -636,8 +636,11 @@ cdef class StrapdownCore:
         self.turn(R, rate, still or self._learned, turning)
         self._still = bridged
         if still:
+            # The attitude's lead counts as much as its difference from measured gyros does.
+            share = 1.0 if self._navigation is None or self._learned else self.share()
             for axis in range(3):
                 turning[axis] -= early[axis]
+                self._turned[axis] -= (1.0 - share) * early[axis] * self._dt
             rate = turning
         elif self._learned:
             for axis in range(3):
@@ -738,7 +741,8 @@ cdef class StrapdownCore:
             u[i] = motion[2]
             i += 1
         for axis in range(3):
-            u[i + axis], y[k + axis] = rate[axis], self._turned[axis]
+            # At the tick, also where the attitude tells the mean since the one before.
+            u[i + axis], y[k + axis] = signals[3 + axis], self._turned[axis]
         if self._mag:
             u[i + 3] = level[4]
             steep = level[7] != 0.0
@@ -1114,6 +1118,10 @@ cdef class StrapdownCore:
         memcpy(self._attitude, R, sizeof(self._attitude))
         memcpy(self._turn_rate, rate, sizeof(self._turn_rate))
 
+    cdef double share(self) noexcept:
+        """Return what counts of the difference of attitude and gyros: none of an attitude that is no evidence."""
+        return 0.0 if self._biased_s > 0.0 else self._attitude_share
+
     cdef double judged(self, int axis, double step, double rate, bint misled) noexcept:
         """Return the rotation about an axis since the tick before, by the attitude and the navigation.
 
@@ -1127,11 +1135,10 @@ cdef class StrapdownCore:
         # The mean over the tick, as that of u.
         cdef double by_gyro = 0.5 * (self._turn_rate[axis] + rate) * self._dt
         cdef double fault = self._navigation.fault(axis), missed = self._navigation.missed(axis)
+        step = by_gyro + self.share() * (step - by_gyro)
         if self._biased_s:
             # A constant bias is no fault, but turns the heading all the same.
-            step = by_gyro - (fault if fault != 0.0 else self._navigation._bias[axis]) * self._dt
-        else:
-            step = by_gyro + self._attitude_share * (step - by_gyro)
+            step -= (fault if fault != 0.0 else self._navigation._bias[axis]) * self._dt
         if self._angle_s[axis]:
             if axis == 2:
                 # The magnetic heading has turned with the vehicle since the onset: only the rest of that angle is
