@@ -55,6 +55,7 @@ class CdrDecoder:
         except struct.error as error:
             raise PayloadError(f"{self._name}: cut off") from error
         except (ValueError, NotImplementedError, RecursionError) as error:
+            # NotImplementedError: the library does not read wide strings (wstring)
             raise PayloadError(f"{self._name}: {error}") from error
 
 

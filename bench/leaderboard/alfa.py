@@ -33,12 +33,7 @@ from scipy.signal import lfilter
 Floats = NDArray[np.float64]
 
 HZ = 20.0
-SIGNALS = (
-    "delta_roll",
-    "delta_pitch",
-    "delta_yaw",
-    "delta_z",
-    "delta_roll_airspeed",
+MOTION = (
     "field.twist.angular.x",
     "field.twist.angular.y",
     "field.twist.angular.z",
@@ -46,6 +41,14 @@ SIGNALS = (
     "field.linear_acceleration.x",
     "field.linear_acceleration.y",
     "field.linear_acceleration.z",
+)
+SIGNALS = (
+    "delta_roll",
+    "delta_pitch",
+    "delta_yaw",
+    "delta_z",
+    "delta_roll_airspeed",
+    *MOTION,
     "field.aspd_error",
     "field.alt_error",
 )
@@ -69,15 +72,6 @@ WATCHED = (
     "field.linear_acceleration.z",
 )
 """Of the signals, those that do not depend on where north is."""
-MOTION = (
-    "field.twist.angular.x",
-    "field.twist.angular.y",
-    "field.twist.angular.z",
-    "field.twist.linear.z",
-    "field.linear_acceleration.x",
-    "field.linear_acceleration.y",
-    "field.linear_acceleration.z",
-)
 WANTED = ("delta_roll", "delta_pitch", "delta_yaw", "delta_z", "field.aspd_error", "field.alt_error")
 TICK = 8
 """Samples of a tick of the Kalman filters: as often as accelerations come (2.5 Hz)."""
