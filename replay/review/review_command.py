@@ -58,14 +58,14 @@ def run_review(args: argparse.Namespace) -> int:
             remark(str(error))
             continue
         remark(*(f"{damage.line()}; all else was read" for damage in review.damage))
+        if report is not None:  # first: `fauio review ... | head` closes the output early
+            from replay.review.review_page import review_page
+
+            write_file(report, review_page(review))
         if args.json:
             say_json(review.to_json())
         else:
             say(*review_lines(review))
-        if report is not None:
-            from replay.review.review_page import review_page
-
-            write_file(report, review_page(review))
         status = max(status, _STATUS[review.severity])
     return 2 if failed else status
 
