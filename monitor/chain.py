@@ -271,6 +271,7 @@ class ObserverChain:
         self._scales = np.array([channel.input is not None for channel in profile.faults])
         self._actuators = {channel.name for channel in profile.faults if channel.input is not None}
         self._excuses = excuses or Excuses(())
+        self._distrusted = False
         # faults first, then the alarm of what no fault explains: the order in which a row is processed
         rules = sorted(profile.alarms, key=lambda rule: rule.kind == "residual")
         self._alarms = tuple(Alarm(rule, vehicle) for rule in rules)
@@ -339,13 +340,19 @@ class ObserverChain:
         Return the events.
 
         An actuator's alarm is raised whoever sends: a forged command must not hide that an actuator fails. What the
-        observer learned from forged values is not true of the vehicle: when they end, the observer restarts.
+        observer learned from forged values is not true of the vehicle: when they end, the observer restarts, and
+        actuators that were accused again and again meanwhile do not count as ones whose fault comes and goes.
         """
         events: list[AlarmEvent] = []
-        changed = False
+        changed, ends = False, self._distrusted and not is_forged
+        self._distrusted = is_forged
         for alarm in self._alarms:
             channel = alarm.rule.channel
-            if channel in self._actuators or not self._excuses.distrust(channel, alarm.state, is_forged):
+            if channel in self._actuators:
+                if ends:
+                    alarm.state.forget_recurrences()
+                continue
+            if not self._excuses.distrust(channel, alarm.state, is_forged):
                 continue
             changed = True
             if is_forged:

@@ -247,6 +247,13 @@ def test_an_alarm_that_comes_and_goes_is_latched_until_it_was_quiet_for_long() -
     assert [event.state for event in events] == ["raised", "cleared"] * 10
 
 
+def test_an_alarm_whose_raises_were_forged_clears_as_if_it_had_been_raised_once() -> None:
+    alarm, burst = new_alarm(replace(RULE, latch_s=20.0)), [-0.05] * 30 + [0.0] * 100
+    assert run(alarm, burst * 3)[-1].recurring
+    alarm.state.forget_recurrences()
+    assert [event.state for event in run(alarm, [0.0] * 100, start=390)] == ["cleared"]
+
+
 @given(st.lists(st.floats(-1, 1, allow_nan=False), max_size=400))
 def test_events_alternate_between_raised_and_cleared_whatever_comes(values: list[float]) -> None:
     events = run(new_alarm(), values)

@@ -192,6 +192,10 @@ cdef class AlarmState:
         self.forget()
         self.trend.reset()
 
+    def forget_recurrences(self):
+        """Count the alarm as one that comes and goes no more: its earlier raises were of no fault."""
+        self.recurring, self.raised_count = False, 0
+
     cdef void forget(self) noexcept:
         """Forget the means."""
         self.mean = self.whole = self.whole_size = self.whole_ns = 0.0

@@ -1063,7 +1063,10 @@ cdef class StrapdownCore:
             vertical.depth += correction[0]
             change += correction[0]
         for i in range(count):
-            if lacking[i]:
+            if lacking[i] and self._navigation is None and not lacking[count - 1 - i]:
+                # Accelerations that give no horizontal velocity give no height either: the other height does.
+                self.follow(y, output[i], y[output[count - 1 - i]] - self._place[output[count - 1 - i]])
+            elif lacking[i]:
                 self.follow(y, output[i], change)
                 self._anchor[output[i]] -= correction[0] if vertical.unknown else 0.0
             elif vertical.unknown:
