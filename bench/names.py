@@ -252,6 +252,8 @@ def _covered(case: Case, profile: Profile, runs: Sequence[Estimates], start_ns: 
 
 def _judged(case: Case, group: str, one: Flight, events: Sequence[AlarmEvent], on_ms: int, off_ms: int) -> Outcome:
     during = [spell for spell in _spells(events) if on_ms <= spell.raised_ms <= off_ms + AFTERMATH_S * 1000]
+    ended = [event for event in events if event.state == "cleared" and event.message.startswith(EXPLAINED)]
+    listed = {(event.channel, event.vehicle_time_ms) for event in ended}
     right = [spell for spell in during if spell.channel in case.channels and spell.raised_ms <= off_ms]
     ends = [spell.cleared_ms for spell in during]
     cleared = None if None in ends or not ends else (max(e for e in ends if e is not None) - off_ms) / 1e3
@@ -266,7 +268,13 @@ def _judged(case: Case, group: str, one: Flight, events: Sequence[AlarmEvent], o
         case.name,
         delay_s=(right[0].raised_ms - on_ms) / 1e3 if right else None,
         named=tuple(dict.fromkeys(spell.channel for spell in during)),
-        others=tuple(dict.fromkeys(spell.channel for spell in during if spell.channel not in case.channels)),
+        others=tuple(
+            dict.fromkeys(
+                spell.channel
+                for spell in during
+                if spell.channel not in case.channels and (spell.channel, spell.cleared_ms) not in listed
+            )
+        ),
         cleared_s=cleared,
         size=", ".join(sizes),
         texts=tuple(
@@ -391,6 +399,8 @@ def _cell(outcome: Outcome) -> str:
 
 _FAST = ("ArduPilot quad, link, motors 10 Hz", "ArduPilot quad, link, 100 Hz")
 """The flights whose only recording is a fast link."""
+EXPLAINED = "explained by "
+"""How the text of an alarm begins that ended as a consequence of another one, which lists it."""
 SLOW_TO_CLEAR_S = 5.0
 """As in bench/detection.py."""
 
@@ -408,7 +418,7 @@ recorded faults of [detection](detection.md) and [rates](rates.md) have both rea
 
 ## What is wrong
 
-"not alone" means that other channels were named too.
+"not alone" means that other channels were named too, and not listed under the right one later ("explained by").
 """
 
 BY_KIND = f"""A cell has, in this order:

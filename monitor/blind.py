@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch
 from adapters.message import SECOND_NS
+from monitor.alarms.alarm import with_affected
 from monitor.alarms.desk import OBSERVER as MONITOR
 from monitor.alarms.link_alarms import SET_BACK_NS
 from monitor.event import AlarmEvent, Severity, State, fixed_rule_event, next_event
@@ -170,6 +171,13 @@ class EvidenceFlow:
         """Return whether the first evidence of one of its sensors may still come in time."""
         return any(not group.evidence_ns and now_ns - group.since_ns < group.granted_ns for group in self.groups)
 
+    @property
+    def frozen(self) -> dict[str, int]:
+        """Messages that stand still of those that sensors are compared with, and since when, in vehicle time."""
+        late = [group for group, late in zip(self.groups, self._overdue, strict=False) if late and not group.label]
+        still = self.chain.sampler.still if late else {}
+        return {name: still[name] for group in late for name in group.messages if name in still}
+
     def lacks(self, now_ns: int, contested: bool, *, any_message: bool) -> list[tuple[str, str]]:
         """Return the reasons of overdue evidence, in people's words and as the status's word.
 
@@ -256,6 +264,9 @@ class BlindAlarm:
         self._slot = 0
         self._started = False
         self._received = False  # whether any telemetry came since the start
+        self._affected: list[str] = []  # channels that the active alarm explains
+        # messages that stand still while the alarm is active, and since when, in vehicle time
+        self.frozen: Mapping[str, int] = {}
 
     @property
     def active(self) -> AlarmEvent | None:
@@ -343,10 +354,12 @@ class BlindAlarm:
         text = "the vehicle flies and is not watched: " + "; ".join(texts)
         severity: Severity = "critical" if nothing else "warning"
         if active is not None:
+            text = with_affected(text, self._affected)
             if (active.message, active.severity) == (text, severity) or now_ns - active.time_ns < _UPDATE_NS:
                 return []
             return [self._next(active, "updated", now_ns, vehicle_ns, text, severity)]
-        self._slot = slot
+        self._slot, self._affected = slot, []
+        self.frozen = {name: since_ns for flow in self.flows for name, since_ns in flow.frozen.items()}
         self._active = fixed_rule_event(
             self._vehicle,
             OBSERVER,
@@ -362,6 +375,15 @@ class BlindAlarm:
         )
         return [self._active]
 
+    def affect(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
+        """Add that frozen values explain a channel's evidence; return the event, or None if that is known."""
+        active = self._active
+        if active is None or channel in self._affected:
+            return None
+        self._affected.append(channel)
+        text = with_affected(active.message, self._affected)
+        return self._next(active, "updated", time_ns, vehicle_ns, text, active.severity)
+
     def adopt(self, event: AlarmEvent) -> None:
         """Continue from an event that an earlier run, or another monitor, has published."""
         self._active = None if event.state == "cleared" else event
@@ -373,7 +395,7 @@ class BlindAlarm:
     def _clear(self, active: AlarmEvent, now_ns: int, vehicle_ns: int, flying: bool) -> AlarmEvent:
         text = "the vehicle is watched again" if flying else "the vehicle is no longer in flight"
         event = self._next(active, "cleared", now_ns, vehicle_ns, text, active.severity)
-        self._active = None
+        self._active, self.frozen = None, {}
         return event
 
     def _next(

@@ -21,7 +21,7 @@ from adapters.batch import Batch
 from adapters.sample import Given, Samples
 from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
-from monitor.alarms.excuse import Excuses
+from monitor.alarms.excuse import Doubt, Excuses
 from monitor.core.alarms import CLEARED, EXPLAINED, RAISED, ChainRows, Weighing, nats_asked, walk
 from monitor.core.effectiveness import EffectivenessEstimator
 from monitor.core.observers import CommandScale, SinceMeasured, shares_in_command
@@ -334,31 +334,31 @@ class ObserverChain:
         if self._close(active, time_ns, vehicle_ns, why):
             self.sampler.restart()
 
-    def distrust(self, is_forged: bool, time_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
-        """Excuse the sensors' alarms because of a second sender, from now on and of late, or no longer.
+    def distrust(self, doubt: Doubt | None, time_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
+        """Excuse alarms because what the observer reads is not the vehicle's, from now on and of late; None: no longer.
 
         Return the events.
 
-        An actuator's alarm is raised whoever sends: a forged command must not hide that an actuator fails. What the
-        observer learned from forged values is not true of the vehicle: when they end, the observer restarts, and
-        actuators that were accused again and again meanwhile do not count as ones whose fault comes and goes.
+        An actuator's alarm is raised whoever sends, unless the measurements of its effect are known to be untrue: a
+        forged command must not hide that an actuator fails. What the observer learned from untrue values is not true of
+        the vehicle: when they end, the observer restarts, and actuators that were accused again and again meanwhile do
+        not count as ones whose fault comes and goes.
         """
         events: list[AlarmEvent] = []
-        changed, ends = False, self._distrusted and not is_forged
-        self._distrusted = is_forged
+        changed, ends = False, self._distrusted and doubt is None
+        self._distrusted = doubt is not None
         for alarm in self._alarms:
             channel = alarm.rule.channel
-            if channel in self._actuators:
-                if ends:
-                    alarm.state.forget_recurrences()
-                continue
-            if not self._excuses.distrust(channel, alarm.state, is_forged):
+            if ends and channel in self._actuators:
+                alarm.state.forget_recurrences()
+            excused = doubt is not None and (doubt.whole or channel not in self._actuators)
+            if not self._excuses.distrust(channel, alarm.state, doubt.affect if doubt and excused else None):
                 continue
             changed = True
-            if is_forged:
-                ended = alarm.withdraw(time_ns, vehicle_ns, "explained by a second sender")
+            if doubt and excused:
+                ended = alarm.withdraw(time_ns, vehicle_ns, doubt.why, doubt.since_ns)
                 events += self._excuses.consequence(ended, alarm.state)
-        if changed and not is_forged:
+        if changed and doubt is None:
             self.sampler.restart()
         return events
 

@@ -8,7 +8,7 @@ of time, findings of the link, an operator's command, other thresholds, alarms t
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import asdict
 from importlib.metadata import version
 from types import MappingProxyType
@@ -23,10 +23,10 @@ from adapters.message import LATEST_NS, SECOND_NS, SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, MAVLINK, OPERATOR
 from monitor import blind
 from monitor.alarms import link_alarms
-from monitor.alarms.alarm import TUNABLE
+from monitor.alarms.alarm import LATELY_NS, TUNABLE
 from monitor.alarms.command_watch import COMMANDS, CommandWatch, StreamFilter, command_sent, commanded_systems
 from monitor.alarms.desk import AlarmDesk, DeskRule, desk_rule, rule_fields
-from monitor.alarms.excuse import Excuses, general_of
+from monitor.alarms.excuse import Doubt, Excuses, general_of
 from monitor.alarms.link_alarms import HEARTBEAT_NS, SET_BACK_NS, LinkAlarms, StaleAlarm
 from monitor.blind import BlindAlarm, Watching
 from monitor.chain import ChainRun, ObserverChain, alarm_events
@@ -71,6 +71,9 @@ _NUMBERED_NS = 10_000_000_000
 """How long a contradiction is reported after the last finding. Chosen: as long as clocks are contested
 (``core/sampling.pyx``)."""
 
+_TOGETHER_NS = SECOND_NS // 2
+"""How much earlier than the IMU's first repeated or frozen row alarms may be that follow from it. Chosen: a GPS is
+stamped 0.2 s earlier than its fix is known, and an IMU comes at 4 Hz at least."""
 _MOVED_NS = 4 * SECOND_NS
 """How long a vehicle that reports not to fly any more has to move on. A car brakes from 35 m/s in that time; PX4's
 planes report a landing when they are slow, ArduPilot's when they have stopped."""
@@ -121,7 +124,7 @@ class Pipeline:
         self._clock = VehicleClock()
         self._phase = FlightPhase(None if force else profile.identity)
         self._link = LinkAlarms(self.vehicle)
-        self._excuses = Excuses(profile.excuses, self._link.affect)
+        self._excuses = Excuses(profile.excuses)
         sooner = seen_sooner(
             {observer.name: [fault.name for fault in observer.faults] for observer in profile.observers}
         )
@@ -153,6 +156,8 @@ class Pipeline:
         self._level_ns: int | None = None  # when to compare them with the report that it lands
         # names of the messages whose values show two senders, and the sentence that says so
         self._forged: Mapping[str, str] = {}
+        # those, messages of a recording that is sent again, and messages that stand still, since when
+        self._untrue: tuple[Mapping[str, str], Set[str], Mapping[str, int]] = {}, set(), {}
         self._numbered_ns = 0  # until when sequence numbers show two senders
         self._flown_ns = 0  # when it last reported to fly
         self.foreign = 0
@@ -480,19 +485,31 @@ class Pipeline:
 
     def _contradict(self, now_ns: int) -> list[AlarmEvent]:
         """Follow the latest messages that show two senders; return the events that a change causes."""
-        before, found = self._forged, sorted(self._clock.found.items())
+        before, found = self._untrue, sorted(self._clock.found.items())
         self._forged = {
             name: _FORGED[what].format(pace=self._clock.pace) for (name, what), until_ns in found if now_ns < until_ns
         }
         certain = self._contradictions(now_ns)
         self.contradictions = [*certain, *[_TWICE_NUMBERED] * (now_ns < self._numbered_ns)]
         events = self._link.contradict(self.contradictions, now_ns, "critical" if certain else "warning")
-        if self._forged != before:
-            for chain in self._chains:
-                events += chain.distrust(
-                    not chain.sampler.interests.isdisjoint(self._forged), now_ns, self._clock.newest_ns
-                )
+        again = {name for (name, what), until_ns in found if what == "before" and now_ns < until_ns}
+        self._untrue = self._forged, again, self._blind.frozen
+        for chain in self._chains if self._untrue != before else ():
+            events += chain.distrust(self._doubt(chain, again, now_ns), now_ns, self._clock.newest_ns)
         return events
+
+    def _doubt(self, chain: ObserverChain, again: Set[str], now_ns: int) -> Doubt | None:
+        """Return why what an observer reads is not the vehicle's; ``again`` are messages of a recording sent again."""
+        measured = {channel.message for channel in (*chain.source.outputs, *chain.source.signals)}
+        link, frozen = self._link.affect, self._blind.frozen
+        if not again.isdisjoint(measured):
+            return Doubt(link, "explained by a second sender", self._clock.repeated_ns - _TOGETHER_NS, whole=True)
+        if not chain.sampler.interests.isdisjoint(self._forged):
+            return Doubt(link, "explained by a second sender", now_ns - LATELY_NS, whole=False)
+        if measured.isdisjoint(frozen):
+            return None
+        since_ns = self._clock.to_unix(min(frozen[name] for name in measured & frozen.keys())) - _TOGETHER_NS
+        return Doubt(self._blind.affect, "explained by frozen telemetry", since_ns, whole=True)
 
     def _contradictions(self, now_ns: int) -> list[str]:
         """Return the contradictions that one sender cannot cause, a sentence each."""

@@ -69,6 +69,26 @@ def test_a_gps_that_stops_is_named_within_seconds_and_clears_when_it_is_back(
     assert 20.0 <= (cleared.time_ns - flight[0].received_ns) / 1e9 <= 27.0
 
 
+def test_alarms_raised_since_the_measurements_froze_end_under_the_alarm_that_says_so(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    frozen_ns, latest, frozen = flight[0].received_ns + 20_000_000_000, {}, []
+    for message in flight:
+        if message.name not in ("ATTITUDE", "HIGHRES_IMU", "GPS_RAW_INT"):
+            frozen.append(message)
+            continue
+        if message.received_ns < frozen_ns:
+            latest[message.name] = message.fields
+        stamps = {name: value for name, value in message.fields.items() if name.startswith("time_")}
+        frozen.append(replace(message, fields={**latest[message.name], **stamps}))
+    events = events_of(quad_profile, frozen)
+    assert {event.observer for event in events if event.state == "raised"} == {"inertial", "monitor"}
+    assert events[-1].channel == "blind"
+    gps = [event.channel for event in events if event.message == "explained by frozen telemetry"]
+    assert gps
+    assert events[-1].message.endswith(f"; affected: {', '.join(gps)}")
+
+
 def test_a_gps_that_goes_on_without_a_fix_is_lost(quad_profile: Profile, flight: list[Message]) -> None:
     observers = [
         replace(

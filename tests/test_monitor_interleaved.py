@@ -112,6 +112,30 @@ def test_a_recorded_stretch_that_is_sent_again_is_an_impostor(
     assert first.time_ns - calm_flight[0].received_ns < 20.5e9
 
 
+def test_motors_are_not_accused_beside_measurements_that_are_sent_again(
+    bundled_quad: Profile, calm_flight: list[Message]
+) -> None:
+    behind_ns, start_ns = 15_000_000_000, calm_flight[0].received_ns + 20_000_000_000
+    sent: dict[str, list[Message]] = {"ATTITUDE": [], "HIGHRES_IMU": [], "GPS_RAW_INT": []}
+    replayed = []
+    for message in calm_flight:
+        earlier = sent.get(message.name)
+        if earlier is None or message.received_ns < start_ns:
+            replayed.append(message)
+        else:
+            before = next(one for one in earlier if one.received_ns >= message.received_ns - behind_ns)
+            stamps = {name: value for name, value in message.fields.items() if name.startswith("time_")}
+            replayed.append(replace(message, fields={**before.fields, **stamps}))
+        if earlier is not None:
+            earlier.append(message)
+    standing: set[str] = set()
+    for event in events_of(bundled_quad, replayed):
+        (standing.discard if event.state == "cleared" else standing.add)(event.channel)
+        if event.state == "cleared" and event.observer in ("motors", "inertial"):
+            assert event.message == "explained by a second sender"
+    assert standing == {"impostor"}
+
+
 @pytest.mark.parametrize("share", [0.2, 0.45, 0.5])
 @pytest.mark.parametrize(
     ("name", "changes"),

@@ -311,9 +311,10 @@ class Alarm:
         self.state.deactivate()
         return event
 
-    def withdraw(self, time_ns: int, vehicle_ns: int, why: str) -> AlarmEvent | None:
-        """End an alarm that an alarm raised soon after it explains; return the event, if any."""
-        if not self.state.active or not 0 <= time_ns - self.since_ns < LATELY_NS:
+    def withdraw(self, time_ns: int, vehicle_ns: int, why: str, since_ns: int | None = None) -> AlarmEvent | None:
+        """End an alarm that an alarm raised soon after it explains, or since a time; return the event, if any."""
+        lately_ns = LATELY_NS if since_ns is None else time_ns - since_ns
+        if not self.state.active or not 0 <= time_ns - self.since_ns <= lately_ns:
             return None
         return self.close(time_ns, vehicle_ns, why)
 

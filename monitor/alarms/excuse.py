@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,15 +45,20 @@ class ExcuseRule:
         return replace(self, channels=channels, by=by)
 
 
+class Doubt(NamedTuple):
+    """Why what an observer reads is not the vehicle's present motion."""
+
+    affect: Affect  # lists a channel under the alarm that says so
+    why: str  # text of alarms that end because of it
+    since_ns: int  # alarms raised since this Unix time end
+    whole: bool  # whether actuators are excused, too: what is measured of their effect is not true
+
+
 class Excuses:
-    """Follows a vehicle's alarms, and tells the alarms that they excuse by the profile's rules.
+    """Follows a vehicle's alarms, and tells the alarms that they excuse by the profile's rules."""
 
-    ``impostor`` is called with the channels that the alarm of a second sender explains.
-    """
-
-    def __init__(self, rules: Sequence[ExcuseRule], impostor: Affect = lambda *_: None) -> None:
-        self._affect_impostor = impostor
-        self._forged: set[AlarmState] = set()
+    def __init__(self, rules: Sequence[ExcuseRule]) -> None:
+        self._doubted: dict[AlarmState, Affect] = {}
         self._rules: dict[str, list[ExcuseRule]] = {}
         for rule in rules:
             for channel in rule.channels:
@@ -103,8 +108,8 @@ class Excuses:
         self, channel: str, time_ns: int, vehicle_ns: int, alarm: AlarmState | None = None
     ) -> AlarmEvent | None:
         """Return the event by which an active alarm lists the channel that it explains, if any does."""
-        if alarm in self._forged:
-            return self._affect_impostor(channel, time_ns, vehicle_ns)
+        if alarm in self._doubted:
+            return self._doubted[alarm](channel, time_ns, vehicle_ns)
         rules = [rule for rule in self._rules.get(channel, ()) if not rule.same_cause]
         for cause in (cause for rule in rules for cause in rule.by if self._active.get(cause)):
             for affect in self._affect.get(cause, ()):
@@ -136,11 +141,17 @@ class Excuses:
         listed = self.explained(ended.channel, ended.time_ns, ended.vehicle_time_ms * 1_000_000, alarm)
         return [ended] if listed is None else [ended, listed]
 
-    def distrust(self, channel: str, alarm: AlarmState, is_forged: bool) -> bool:
-        """Excuse an alarm because of forged values from now on, or no longer; return whether that is a change."""
-        if is_forged == (alarm in self._forged):
+    def distrust(self, channel: str, alarm: AlarmState, affect: Affect | None) -> bool:
+        """Excuse an alarm because of untrue values from now on; None: no longer. Return whether that is a change.
+
+        ``affect`` lists it under the alarm that tells of them.
+        """
+        if affect == self._doubted.get(alarm):
             return False
-        (self._forged.add if is_forged else self._forged.discard)(alarm)
+        if affect is None:
+            del self._doubted[alarm]
+        else:
+            self._doubted[alarm] = affect
         self._set(channel, [alarm])
         return True
 
@@ -182,7 +193,7 @@ class Excuses:
             named, until_ns = any(self._named.get(observer) for observer in sooner), self._named_until_ns
             after = [_about(until_ns[observer], for_s) for observer in sooner if observer in until_ns]
             times = np.concatenate([ended if alarm in jumps else spans, np.array(after, np.int64).reshape(-1, 2)])
-            alarm.set_excuse(now or named or alarm in self._forged, times)
+            alarm.set_excuse(now or named or alarm in self._doubted, times)
 
     def _excuse(self, channel: str) -> tuple[bool, NDArray[np.int64]]:
         """Return whether a channel is excused all the time, and the spans of vehicle time in which it is (m, 2), ns."""

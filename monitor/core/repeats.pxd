@@ -12,5 +12,7 @@ cdef class Repeats:
     cdef long long* _received
     cdef long long _count
     cdef int _place, _run
+    # when the first row of the present run came
+    cdef readonly long long since
 
     cdef bint take(self, long long received, const double* row) noexcept

@@ -278,6 +278,8 @@ cdef class VehicleClock:
         compared with that before), ``fixes`` (of stamps, compared with time), ``response`` (commands beside rates).
     pace : float
         How fast stamps went on when they were last found to have another pace.
+    repeated_ns : int
+        Since when the message that was last found to repeat earlier values does so, Unix time.
     """
 
     cdef readonly int boot
@@ -287,6 +289,7 @@ cdef class VehicleClock:
     cdef public bint flies
     cdef readonly dict found
     cdef readonly double pace
+    cdef readonly nanoseconds repeated_ns
     cdef bint _has_candidate, _has_doubtful
     # The newest stamp of another clock and its arrival; since when such stamps go on; the number of findings and the
     # first one's time; whether near ones came after it, and of the next one's channel; the last arrivals of a near and
@@ -1220,19 +1223,21 @@ cdef class SamplerCore:
     @property
     def seldom(self):
         """Return the names of the messages that come too seldom compared with the fitted flights."""
-        return self._names([lane for lane in self._lanes if (<Lane>lane).line < 0])
+        return tuple([
+            name
+            for name, streams in self._streams.items()
+            if any([(<Lane>lane).line < 0 for stream in streams for lane in (<Stream>stream).lanes])
+        ])
 
     @property
     def still(self):
-        """Return the names of the messages whose values repeat."""
-        return self._names([lane for lane in self._lanes if (<Lane>lane).still])
-
-    def _names(self, lanes):
-        return tuple(
-            name
+        """Return the names of the messages whose values repeat, and the vehicle times of their last change, ns."""
+        return {
+            name: (<Stream>stream).changed
             for name, streams in self._streams.items()
-            if any([lane in lanes for stream in streams for lane in (<Stream>stream).lanes])
-        )
+            for stream in streams
+            if any([(<Lane>lane).still for lane in (<Stream>stream).lanes])
+        }
 
     def restart(self):
         """Mark the next sample as the first after a break."""
@@ -1269,6 +1274,7 @@ cdef class SamplerCore:
         self._messages += 1
         if stream.before is not None and stream.before.take(received, row):
             clock.register(stream.channel.message, "before", received)
+            clock.repeated_ns = stream.before.since
         if clockless and stream.channel.clock is None and clock.newest_ns > 0:
             stamp = clock.newest_ns
             for lane in stream.lanes:
