@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import os
 import random
 import re
 import shutil
@@ -33,7 +34,7 @@ from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.recording.recorder import RETRY_S
-from monitor.recording.retention import FileSeries
+from monitor.recording.retention import FileSeries, Together
 from replay.player import play
 
 SECOND = 1_000_000_000
@@ -164,6 +165,25 @@ def test_the_oldest_go_so_that_all_stay_within_the_budget_and_foreign_files_stay
     assert 0 < len(own) < log.counts().files
     kept = [number for path in own for number in numbers(path)]
     assert kept == [*range(kept[0], 100)]
+
+
+def test_files_of_vehicles_that_are_gone_go_so_that_all_vehicles_stay_within_their_budget(tmp_path: Path) -> None:
+    def old(vehicle: str, number: int) -> Path:
+        path = tmp_path / vehicle / f"{vehicle}-20200101T000000Z-{number:06}.mcap"
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"x" * 300_000)
+        os.utime(path, (number, number))
+        return path
+
+    other, gone, younger = old("copter-2", 0), old("copter-3", 1), old("copter-3", 2)
+    notes = tmp_path / "copter-3" / "notes.mcap"
+    notes.write_bytes(b"x" * 300_000)
+    together = Together(1_150_000, {"copter-1", "copter-2"})
+    with recorder(tmp_path / "copter-1", file_bytes=150_000, budget_bytes=500_000, together=together) as log:
+        log.write(noise(0))
+        log.flush()
+        until(lambda: not gone.exists())
+    assert all(path.exists() for path in (other, younger, notes))
 
 
 def test_a_record_larger_than_a_file_gets_one_of_its_own(tmp_path: Path) -> None:

@@ -154,7 +154,11 @@ class RecordingTable:
     folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "recordings/")
     file_mb: float = _key(256, _POSITIVE, "Size at which the next file begins, megabytes.")
     file_minutes: float = _key(60, _POSITIVE, "Time after which the next file begins, minutes.")
-    budget_mb: float = _key(10_000, _POSITIVE, "Size of the files of all vehicles together, shared evenly, megabytes.")
+    budget_mb: float = _key(
+        10_000,
+        _POSITIVE,
+        "Size of the files of all vehicles together, shared evenly, megabytes; those of former vehicles go first.",
+    )
 
 
 @dataclass(frozen=True)
@@ -164,7 +168,7 @@ class BlackBoxTable:
     folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "clips/")
     before_s: float = _key(30, _number(at_least=0, at_most=600), "Begin of a clip before the alarm, seconds.")
     after_s: float = _key(30, _number(at_least=0, at_most=600), "End of a clip after the alarm, seconds.")
-    budget_mb: float = _key(1000, _POSITIVE, "Size of the clips of all vehicles together, shared evenly, megabytes.")
+    budget_mb: float = _key(1000, _POSITIVE, "Size of the clips of all vehicles together, as of recordings, megabytes.")
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +16,7 @@ from adapters.errors import StorageError
 from monitor.event import AlarmEvent
 from monitor.recording.record_encoder import EncodedRecord, Topic
 from monitor.recording.recorder import RETRY_S, RecordFile
-from monitor.recording.retention import Retention, file_stem, writable_folder
+from monitor.recording.retention import Retention, Together, file_stem, writable_folder
 from monitor.sampling.phase import FlightPhase
 
 MAX_OPEN_CLIPS: Final = 4
@@ -81,7 +80,8 @@ class BlackBox:
     :meth:`work` and :meth:`close`; no method raises after construction. Not for several threads at once.
 
     ``before_s`` and ``after_s`` are the span of a clip around the moment its alarm was raised. The vehicle's clips may
-    take ``budget_bytes`` together, checked whenever one is completed; a single clip ends early at a quarter of it.
+    take ``budget_bytes``, and those of all vehicles what ``together`` says, checked whenever one is completed; a single
+    clip ends early at a quarter of ``budget_bytes``.
     ``held_records`` and ``held_bytes`` bound the records held for alarms to come. A vehicle with two observers at 125
     Hz makes 1,000 records a second of 160 bytes on average (measured): the defaults hold 100 s. A clip drops records
     while twice as many wait to be written. The rest is as of :class:`~monitor.recording.recorder.Recorder`.
@@ -103,6 +103,7 @@ class BlackBox:
         before_s: float = 30.0,
         after_s: float = 30.0,
         budget_bytes: int = 256 * 1024 * 1024,
+        together: Together | None = None,
         held_records: int = 100_000,
         held_bytes: int = 32 * 1024 * 1024,
     ) -> None:
@@ -116,9 +117,7 @@ class BlackBox:
         self._clip_bytes = budget_bytes // 4
         self._held_records = held_records
         self._held_bytes = held_bytes
-        self._retention = Retention(
-            self._folder, re.compile(f"{re.escape(self._stem)}-{_ULID}\\.mcap", re.ASCII), budget_bytes
-        )
+        self._retention = Retention(self._folder, self._stem, f"-{_ULID}\\.mcap", budget_bytes, together)
         self._now_ns: int | None = None
         # Kept apart from the records, so that an alarm copies the records in one call.
         self._held: deque[EncodedRecord] = deque()

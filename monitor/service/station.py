@@ -30,7 +30,7 @@ from monitor.recording.black_box import BlackBox
 from monitor.recording.record_encoder import RecordEncoder
 from monitor.recording.recorder import Recorder
 from monitor.recording.recover import finish_all
-from monitor.recording.retention import FileSeries
+from monitor.recording.retention import FileSeries, Together
 from monitor.sampling.slow_telemetry import COMMANDS_PER_TICK, motor_gain
 from monitor.service.fleet import Fleet
 from monitor.service.health import Health, LinkHealth, ProcessHealth, link_health, troubles
@@ -332,6 +332,7 @@ class Station:
                 file_bytes=int(min(table.file_mb, share / 2) * _MEGABYTE),
                 file_s=table.file_minutes * 60.0,
                 budget_bytes=round(share * _MEGABYTE),
+                together=Together(round(table.budget_mb * _MEGABYTE), self._shown),
             )
         if target is not None:
             recorder = Recorder(target, *common)
@@ -344,6 +345,7 @@ class Station:
                 before_s=clips.before_s,
                 after_s=clips.after_s,
                 budget_bytes=round(clips.budget_mb / self._sharers * _MEGABYTE),
+                together=Together(round(clips.budget_mb * _MEGABYTE), self._shown),
             )
         if recorder is None and black_box is None:
             return None
