@@ -232,7 +232,7 @@ def run_convert(args: argparse.Namespace) -> int:
     if args.json:
         say_json({"log": str(args.log), "out": str(args.out), "messages": count, "damage": damage})
     else:
-        say(f"{args.out}: {count} messages")
+        say(f"{args.out}: {count} {'messages' if onboard is None else 'records'}")
     return 0
 
 

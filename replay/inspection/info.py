@@ -201,7 +201,13 @@ def info_lines(content: Mapping[str, Any]) -> Iterator[str]:
 
 def _recording(content: Mapping[str, Any]) -> Iterator[str]:
     kind = _FORMATS.get(content["format"], content["format"])
-    head = f"{content['file']}: {kind}, {content['count']} messages"
+    made = content["count"] - content["records"]
+    held = (
+        f"{content['records']} records, from which {made} messages were made"
+        if content["records"]
+        else f"{made} messages"
+    )
+    head = f"{content['file']}: {kind}, {held}"
     if content["start_ns"] is not None:
         head += f", {content['duration_s']:.1f} s from {content['start'] or content['start_ns']}"
     yield head

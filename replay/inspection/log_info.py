@@ -94,6 +94,7 @@ class _Tally:
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
+        self.records = 0  # those of an onboard log; the other messages are made of them
         self.rates: dict[str, FlightRate] = {}
         self.senders: dict[int, _Sender] = {}
         self.examples: dict[str, Mapping[str, Any]] = {}
@@ -126,6 +127,7 @@ class _Tally:
 
     def _count_message(self, messages: Columns | Message, received_ns: NDArray[np.int64]) -> None:
         self.counts[messages.name] += len(received_ns)
+        self.records += len(received_ns) * messages.source.is_onboard_log
         self.rates.setdefault(messages.name, FlightRate(repeats=True)).add(received_ns)
         if messages.source is MAVLINK:
             sender = self.senders.setdefault(messages.system, _Sender())
@@ -186,6 +188,7 @@ def log_info(path: Path) -> dict[str, Any]:
         "start": None if first_ns is None else f"{utc(first_ns)[:19]}Z",
         "duration_s": 0.0 if first_ns is None else (tally.last_ns - first_ns) / 1e9,
         "count": tally.counts.total(),
+        "records": tally.records,
         "messages": {name: _message(name, tally, surveyed) for name in sorted(tally.counts)},
         "link": tally.link.figures().rounded(),
         "systems": [_system(number, tally) for number, sender in sorted(tally.senders.items()) if sender.messages],
