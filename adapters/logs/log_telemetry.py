@@ -116,7 +116,8 @@ class _Telemetry:
         """Count records at the begin of a log; return whether they suffice to choose."""
         times_ns, start = arrival_times(batch), 0
         if self._first_ns is None:
-            start = min((int(at[0]) for name, at in _positions(batch) if name in self._relevant), default=batch.count)
+            relevant = self._relevant
+            start = min((int(at[0]) for name, at in _positions(batch) if name in relevant), default=batch.count)
             if start < batch.count:
                 self._first_ns = int(times_ns[start])
         stop = _LOOKED_AT - self._looked_at
