@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from adapters.batch import Batch
@@ -129,7 +130,7 @@ def fit_profile(
     if capability:
         measured = tuple(_measured(observer, own.request, kind, own.gate) for observer in observers)
         stage("measured what will be detected")
-    report = FitReport(kind, measured, refused, _warnings(vehicle, surveys, observers, read.idle))
+    report = FitReport(kind, measured, refused, _warnings(vehicle, own, observers, read.idle))
     content = profile_content(
         name, kind, own.gate, report, common_identity(flight.identity for flight in read.surveyed)
     )
@@ -138,7 +139,8 @@ def fit_profile(
     wanted = {channel.message for observer in observers for channel in observer.source.channels} | FlightPhase.interests
     wanted |= {BATTERY_MESSAGE} if any(observer.supply is not None for observer in observers) else set()
     kept = () if before is None else before.kept.flights
-    left_out = write_kept(folder, content, rate_hz, kept, read.added, wanted, update)
+    added = [flight for flight in read.added if flight[0] not in own.lacking]
+    left_out = write_kept(folder, content, rate_hz, kept, added, wanted, update)
     if model is not None:
         write_file(folder / FOLDER / MODEL, model.read_bytes())
     return replace(report, set_aside=set_aside, edits=tuple(edits), left_out=left_out)
@@ -220,12 +222,22 @@ class _OwnObserver(NamedTuple):
     gate: GateRule
     request: FitRequest
     refused: tuple[str, ...] = ()
+    # names of the recordings that were left out because they hold too little, and what they lack
+    lacking: Mapping[str, str] = MappingProxyType({})
 
 
 def _own_observer(kind: VehicleKind, request: FitRequest, surveyed: Sequence[SurveyedLog]) -> _OwnObserver:
-    """Fit a vehicle's own observer, without flights that disagree; if that fails, the observer of the sensors."""
+    """Fit a vehicle's own observer, without flights that disagree; if that fails, the observer of the sensors.
+
+    If recordings do not hold all that is needed, they are left out where others do.
+    """
     try:
         fitted, gate = load(kind.fit)(request)
+    except TelemetryError:
+        lacking = _lacking(kind, request)
+        if not 0 < len(lacking) < len(request.names):
+            raise
+        return _own_observer(kind, request.without(lacking), surveyed)._replace(lacking=lacking)
     except UntoldError as error:
         if any(_is_another(kind, flight.identity.vehicle_type) for flight in surveyed):
             raise
@@ -234,11 +246,23 @@ def _own_observer(kind: VehicleKind, request: FitRequest, surveyed: Sequence[Sur
             return _OwnObserver(*fit_alone(replace(request, rate_hz=None)), request, (f"{kind.watches}: {error}",))
         except (TelemetryError, ModelError, InfeasibleError):
             raise error from None
-    if fitted.agreement is not None and (apart := fitted.agreement.left_out):
+    agreed, request = fitted.agreement, replace(request, agreed=True)
+    if agreed is not None and (apart := agreed.left_out):
         request = request.without(apart)
-        again, gate = load(kind.fit)(request)
-        fitted = replace(again, agreement=fitted.agreement)
+        fitted, gate = load(kind.fit)(request)
+        fitted = replace(fitted, agreement=agreed)
     return _OwnObserver(fitted, gate, request)
+
+
+def _lacking(kind: VehicleKind, request: FitRequest) -> dict[str, str]:
+    """Return the names of the recordings from which, by themselves, nothing could be fitted, and the reason."""
+    reasons: dict[str, str] = {}
+    for name, found in zip(request.names, request.surveys, strict=False):
+        try:
+            load(kind.preview)(found)
+        except TelemetryError as error:
+            reasons[name] = str(error)
+    return reasons
 
 
 def _further_observers(
@@ -379,20 +403,22 @@ def replace_kept(path: Path, text: str) -> Path | None:
 
 
 def _warnings(
-    kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitted], idle: Sequence[str]
+    kind: VehicleKind, own: _OwnObserver, observers: Sequence[Fitted], idle: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return warnings: recordings without flight, messages that are too rare, and sensors that the messages hide."""
+    """Return warnings: recordings left out, messages that are too rare, and sensors that the messages hide."""
+    surveys = own.request.surveys
     if not surveys:
         return ()
-    own = (channel for fitted in observers if fitted.name == OBSERVER for channel in fitted.source.channels)
-    unseen = hidden(surveys, own)
+    inertial = (channel for fitted in observers if fitted.name == OBSERVER for channel in fitted.source.channels)
+    unseen = hidden(surveys, inertial)
     channels = [channel for fitted in observers for channel in fitted.source.channels]
     slow = slow_messages([found.rate_hz for found in surveys], channels, kind.wanted_hz)
     onboard = all(found.onboard for found in surveys)
     commands_hz = slow.get(MOTOR_MESSAGE) if kind.name == "multirotor" else None
     said = slow_text(slow, kind.wanted_hz, onboard=onboard, commands_hz=commands_hz) if slow else None
     no_flight = f"left out, as no motor or servo moves as in flight while armed: {', '.join(idle)}" if idle else None
-    return tuple(filter(None, (no_flight, said, unseen)))
+    lacking = [f"left out, as it lacks what the others hold: {name}: {reason}" for name, reason in own.lacking.items()]
+    return tuple(filter(None, (no_flight, *lacking, said, unseen)))
 
 
 def _measured(fitted: Fitted, request: FitRequest, kind: str, gate: GateRule) -> Fitted:

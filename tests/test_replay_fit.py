@@ -52,10 +52,16 @@ def test_where_nothing_tells_what_the_motors_do_the_sensors_are_watched(
     monkeypatch.setattr("monitor.vehicles.multirotor.fit.choose_frame", lambda *_: None)
     still = {"SERVO_OUTPUT_RAW": {f"servo{n}_raw": 1000 for n in range(1, 5)}}
     ground = [replace(m, fields={**m.fields, **still.get(m.name, {})}) for m in slow]
-    logs = [lambda: packed(slow), lambda: packed(ground)]
+    # another flight, as it is later, and without motor commands
+    silent = [replace(m, received_ns=m.received_ns + 10**9) for m in slow if m.name != "SERVO_OUTPUT_RAW"]
+    logs = [lambda: packed(slow), lambda: packed(ground), lambda: packed(silent)]
     with plain_fits():
-        report = fit_profile("multirotor", logs, tmp_path / "quad", "quad", log_names=("flight", "ground"))
-    assert report.warnings[0] == "left out, as no motor or servo moves as in flight while armed: ground"
+        report = fit_profile("multirotor", logs, tmp_path / "quad", "quad", log_names=("flight", "ground", "silent"))
+    assert report.warnings[:2] == (
+        "left out, as no motor or servo moves as in flight while armed: ground",
+        "left out, as it lacks what the others hold: silent: no motor commands; record SERVO_OUTPUT_RAW at 50 Hz or "
+        "more",
+    )
     assert [one.name for one in read_profile(tmp_path / "quad").observers] == ["inertial"]
     (line,) = (line for line in report.text() if line.startswith("not fitted: "))
     assert line.startswith("not fitted: each motor, three gyros: which way its 4 motors turn the vehicle is not known")

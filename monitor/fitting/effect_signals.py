@@ -62,7 +62,7 @@ def effect_signals(
         A message that is needed is missing or comes too seldom; the text says which to record.
     """
     if in_every(surveys, [_ATTITUDE]) is None:
-        raise TelemetryError(f"no attitude in every log; record {_ATTITUDE} at 50 Hz or more")
+        raise TelemetryError(f"no attitude; record {_ATTITUDE} at 50 Hz or more")
     commands, mixed = actuator_channels(surveys, actuators, mixes)
     imu = in_every(surveys, IMUS)
     if imu is None:

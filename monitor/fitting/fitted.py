@@ -76,6 +76,7 @@ class FitRequest:
     model: Path | None = None  # model file with free parameters, of a kind that needs one
     log_names: Sequence[str] = ()  # names of the recordings
     rate_hz: float | None = None  # samples per second of the observer; None: the rate of the messages
+    agreed: bool = False  # whether flights that disagree are left out already
 
     def without(self, names: Collection[str]) -> FitRequest:
         """Return the request without some of its recordings."""

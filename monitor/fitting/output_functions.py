@@ -114,7 +114,7 @@ def _output_channels(
     surveys: Sequence[Survey], actuators: Sequence[Actuator], mixes: Sequence[MixedOutputs]
 ) -> tuple[dict[str, Channel], dict[str, float]]:
     if in_every(surveys, [MOTOR_MESSAGE]) is None:
-        raise TelemetryError(f"no servo outputs in every log; record {MOTOR_MESSAGE} at 50 Hz or more")
+        raise TelemetryError(f"no servo outputs; record {MOTOR_MESSAGE} at 50 Hz or more")
     completed = [_completed(survey) for survey in surveys]
     survey = next((found for found in completed if found.px4 and "CA_AIRFRAME" in found.parameters), completed[0])
     # A log of the outputs themselves also has unused ones, at the pulse of a disarmed output.

@@ -248,7 +248,7 @@ def fit_props(request: FitRequest, gate: GateRule) -> Fitted | None:
     speeds = motor_speeds(request, gate, commands)
     if speeds is None or not speeds.measured or speeds.rate_hz >= SLOW_COMMANDS_HZ:
         return None
-    return replace(_fitted(request, gate, _turned(speeds, PROPS), outputs), agreement=None)
+    return _fitted(request, gate, _turned(speeds, PROPS), outputs)
 
 
 def fit_trim(request: FitRequest, gate: GateRule) -> Fitted | None:
@@ -262,7 +262,7 @@ def fit_trim(request: FitRequest, gate: GateRule) -> Fitted | None:
     if min(drive.rate_hz / COMMANDS_PER_TICK, request.rate_hz or math.inf) <= TRIM_HZ:
         return None
     fitted = _fitted(replace(request, rate_hz=TRIM_HZ), gate, drive, outputs)
-    return replace(fitted, measured=False, agreement=None)
+    return replace(fitted, measured=False)
 
 
 def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[Channel, ...]) -> Fitted:
@@ -287,7 +287,12 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     lasting = None if nats is not None else _lasting(bare.profile(), gate, identified, watched)
     alarms = _alarms(drive.observer, channels, evidence, watched, identified, rule.score_floor, nats, lasting)
     smallest = _smallest(watched, alarms, bare.excitation)
-    _check_watched(watched, smallest)
+    agreed = None
+    if not request.agreed:
+        agreed = motor_agreement(model, request.names, [flight.segments() for flight in identified.flights], motors)
+    # a flight that disagrees may hide all losses: the others are then fitted without it
+    if agreed is None or not agreed.left_out:
+        _check_watched(watched, smallest)
     commands = motor_commands(surveys)
     ranges = (
         {}
@@ -319,7 +324,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
         details=identified.details,
         comparison=identified.comparison,
         measured=True,
-        agreement=motor_agreement(model, request.names, [flight.segments() for flight in identified.flights], motors),
+        agreement=agreed,
     )
 
 

@@ -111,7 +111,7 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
     if rates is None:
         raise TelemetryError(f"no body rates in every log; record one of {', '.join(_RATES)} at 50 Hz+")
     if in_every(surveys, [MOTOR_MESSAGE]) is None:
-        raise TelemetryError(f"no motor commands in every log; record {MOTOR_MESSAGE} at 50 Hz or more")
+        raise TelemetryError(f"no motor commands; record {MOTOR_MESSAGE} at 50 Hz or more")
     commands = motor_commands(surveys)
     span = commands.full - commands.stop
     scale, offset = (0.001, -1.0) if commands.pulses else (1.0 / span, -commands.stop / span)

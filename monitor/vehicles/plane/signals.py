@@ -45,7 +45,7 @@ def plane_signals(surveys: Sequence[Survey]) -> EffectSignals:
         reason.
     """
     if not all(survey.counts.get(_AIRSPEED_MESSAGE) for survey in surveys):
-        raise TelemetryError(f"no airspeed in every log; record {_AIRSPEED_MESSAGE} at 10 Hz or more")
+        raise TelemetryError(f"no airspeed; record {_AIRSPEED_MESSAGE} at 10 Hz or more")
     return effect_signals(surveys, SurfaceInputs.signals, _ACTUATORS, {"airspeed": AIRSPEED}, _MIXED)
 
 
