@@ -385,6 +385,20 @@ def test_a_sensor_that_jumps_or_walks_is_named_alone(
         assert abs(run.size[rows[0]] - 2.0 * sign) < 3.0 * run.sd[rows[0]]
 
 
+def test_what_a_jump_leaves_behind_is_no_second_jump_when_it_leaves_the_window(
+    sensors: tuple[ChangeRule, float],
+) -> None:
+    rule, nats = sensors
+    flown = travel(np.random.default_rng(29), 9.0)
+    # A filter passes the last third of the jump within half a second.
+    late = np.clip(np.arange(len(flown)) - 124.0, 0.0, None) / (0.2 * INERTIAL_HZ)
+    flown.samples.y[:] += course("baro", 10.0, False, 125, len(flown)) * (1.0 - np.exp(-late)[:, None] / 3.0)
+    run = judged(rule, flown)
+    rows = run.nats >= nats
+    assert rows.any()
+    assert run.size[rows].min() > 5.0
+
+
 @pytest.mark.parametrize("output", ["baro_down", "gps_north", "gps_down"])
 def test_one_wrong_value_of_a_sensor_is_nobodys_fault(sensors: tuple[ChangeRule, float], output: str) -> None:
     rule, nats = sensors

@@ -372,6 +372,10 @@ cdef class ChangeTest:
                 named[k], nats[k], sd[k] = self.faults[owner], found.nats, sqrt(found.variance)
                 size[k], growth[k] = sign * found.size, sign * found.growth
                 onset_ns[k] -= <int64_t>rint(found.age * self.step_ns)
+                if self.driven and found.age >= self.window - 2 and 2.0 * found.nats >= self.clip * self.clip:
+                    # The onset leaves the window: what the fault left in the rows after it would pass for another one.
+                    # An alarm needs some clip^2 nats, so a fault of half as many leaves nothing that could raise one.
+                    self.drop_onsets()
         return results
 
     cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, const uint8_t[:] usable,

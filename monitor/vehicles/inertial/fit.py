@@ -156,6 +156,7 @@ _CRITICAL = 5.0
 _FLYING = ("rotor", "copter", "wing", "vtol")
 """Words in the types of vehicles that fly."""
 _POSITION = ("gps_north", "gps_east")
+_HEIGHT = ("gps_down", "baro")
 _POOLS = (_POSITION, MOTION, GPS_VELOCITY, GYROS)
 
 _EXCUSES = (
@@ -265,7 +266,7 @@ def _designed(
         # without an IMU these estimates show only how far the vehicle is from hovering
         silent = {*MOTION, *GPS_VELOCITY, "accel_z"} | (set() if LEARNED in parameters else set(GYROS))
         alarms = [found for found in alarms if found.rule.channel not in silent]
-    changes, alarms = _sudden(raw, signal_hz, channels, designed, alarms, flights)
+    changes, alarms = _sudden(raw, signal_hz, channels, designed, alarms, flights, smallest_faults(fit))
     return replace(
         designed,
         spread=fit_spread(designed.profile(), plant, gate, flights),
@@ -286,6 +287,7 @@ def _sudden(
     designed: Fitted,
     alarms: Sequence[Calibrated],
     flights: Sequence[Flight],
+    smallest: Mapping[str, float],
 ) -> tuple[ChangeRule | None, list[Calibrated]]:
     """Return the rule for sudden faults of GPS, barometer and compass, and the alarms with that path."""
     rate_hz, plant = designed.gains[0].rate_hz, designed.plant
@@ -310,7 +312,12 @@ def _sudden(
     for found in alarms:
         rule = found.rule
         if rule.channel in lasts_s:
-            least = rule.threshold * (drifts if rule.channel in _POSITION else 1.0)
+            least = rule.threshold
+            if rule.channel in (*_POSITION, *_HEIGHT):
+                least *= drifts
+            if rule.channel in _HEIGHT:
+                # gusts and the ground move the pressure, and so the height, within a second
+                least = max(least, smallest[rule.channel])
             rule = replace(rule, nats=nats.level, least=float(f"{least:.4g}"))
             sudden.append(replace(found, rule=rule, sudden=nats, sharing=len(lasts_s)))
         else:
