@@ -36,7 +36,7 @@ from monitor.profile import PROFILE_FILE, Profile, profile_table, read_profile
 from monitor.sampling.gate import GateRule
 from monitor.sampling.identity import Identity, Reports, common_identity
 from monitor.sampling.phase import FlightPhase
-from monitor.sampling.slow_telemetry import slow_messages, slow_text
+from monitor.sampling.slow_telemetry import slow_messages, slow_text, slowest_text
 from monitor.sampling.supply import BATTERY_MESSAGE
 from monitor.vehicles.base import VehicleKind, likely_kinds, load
 from monitor.vehicles.inertial.fit import OBSERVER, fit_alone, fit_inertial
@@ -416,9 +416,10 @@ def _warnings(
     onboard = all(found.onboard for found in surveys)
     commands_hz = slow.get(MOTOR_MESSAGE) if kind.name == "multirotor" else None
     said = slow_text(slow, kind.wanted_hz, onboard=onboard, commands_hz=commands_hz) if slow else None
+    named = [(name, found.rate_hz) for name, found in zip(own.request.names, surveys, strict=True)]
     no_flight = f"left out, as no motor or servo moves as in flight while armed: {', '.join(idle)}" if idle else None
     lacking = [f"left out, as it lacks what the others hold: {name}: {reason}" for name, reason in own.lacking.items()]
-    return tuple(filter(None, (no_flight, *lacking, said, unseen)))
+    return tuple(filter(None, (no_flight, *lacking, said, slowest_text(named, slow), unseen)))
 
 
 def _measured(fitted: Fitted, request: FitRequest, kind: str, gate: GateRule) -> Fitted:

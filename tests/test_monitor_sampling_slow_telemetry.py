@@ -12,7 +12,7 @@ from adapters.channels import Channel
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import read_recording
 from monitor.profile import Profile, read_profile
-from monitor.sampling.slow_telemetry import SELDOM, motor_gain, slow_messages, slow_text, spanned
+from monitor.sampling.slow_telemetry import SELDOM, motor_gain, slow_messages, slow_text, slowest_text, spanned
 from replay.inspection.log_info import log_info
 
 FAST = ("ATTITUDE", "HIGHRES_IMU", "SERVO_OUTPUT_RAW")
@@ -67,6 +67,15 @@ def test_a_fit_on_slow_telemetry_says_in_one_line_what_is_needed(
     warnings = json.loads((folder / "fit.json").read_text())["warnings"]
     assert [one for one in warnings if "slow telemetry" in one] == [line.removeprefix("fauio: ")]
     assert "slow telemetry" not in captured.out
+
+
+def test_a_log_that_is_far_slower_than_the_others_is_named() -> None:
+    logs = [(name, dict.fromkeys(FAST, 10.0)) for name in ("monday", "tuesday")]
+    assert slowest_text(logs, FAST) is None
+    assert slowest_text([("radio", {FAST[0]: 4.0, FAST[1]: 2.0, FAST[2]: 2.5}), *logs], FAST) == (
+        "all logs are fitted at the rates of the slowest; without it faults show sooner: "
+        f"radio ({FAST[1]} 2 Hz, others 10 Hz)"
+    )
 
 
 def test_a_fit_on_fast_telemetry_says_nothing_of_it(quad_folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from statistics import median_high
 
 from adapters.channels import Channel
 from monitor.sampling.transform import SampleSource
@@ -20,6 +21,9 @@ _SPANNED = 3.0
 between."""
 
 
+_FAR_BELOW = 0.5
+"""Share of the other recordings' rate below which a recording slows the fit down. Chosen: at half the rate, means of
+commands take twice as long."""
 COMMANDS_PER_TICK = 2
 """Least number of commands in a tick. Measured on ArduPilot and PX4 at 10 Hz and on radios at 2 Hz: two detect a motor
 with 12 to 15 % less thrust after 0.6 to 4 s, three after 0.5 to 11 s, with as few false alarms; more are later
@@ -42,6 +46,23 @@ def slow_messages(
     fast = sorted({channel.message for channel in channels} - _seldom(channels) - _LEVELS)
     rates = {name: min(recording.get(name, 0.0) for recording in recordings) for name in fast}
     return {name: rate for name, rate in rates.items() if rate < _ENOUGH * wanted_hz}
+
+
+def slowest_text(recordings: Sequence[tuple[str, Mapping[str, float]]], slow: Collection[str]) -> str | None:
+    """Return a line about recordings in which a slow message comes far more seldom than in the others, None if none.
+
+    Recordings are given as names and messages per second by name; ``slow`` are names of messages.
+    """
+    usual = {message: median_high(rates.get(message, 0.0) for _, rates in recordings) for message in slow}
+    found = []
+    for log, rates in recordings:
+        behind = [name for name, hz in usual.items() if rates.get(name, 0.0) < _FAR_BELOW * hz]
+        if behind:
+            name = min(behind, key=lambda message: rates.get(message, 0.0) / usual[message])
+            found.append(f"{log} ({name} {rates.get(name, 0.0):.3g} Hz, others {usual[name]:.3g} Hz)")
+    if not found:
+        return None
+    return f"all logs are fitted at the rates of the slowest; without it faults show sooner: {', '.join(found)}"
 
 
 def slow_text(slow: Mapping[str, float], wanted_hz: float, *, onboard: bool, commands_hz: float | None = None) -> str:

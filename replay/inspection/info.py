@@ -225,6 +225,8 @@ def _recording(content: Mapping[str, Any]) -> Iterator[str]:
     yield from _message_lines(content)
     if content["vehicle"] is not None:
         yield from _vehicle(content["vehicle"])
+    elif content["messages"] and not content["fields"]:
+        yield "  nothing to fit: no message holds attitude, accelerations or motor outputs of a vehicle with their times"
     if content["fields"]:
         yield "  numbers that the channels of a custom model can take (fauio fit --vehicle custom --model MODEL.toml):"
         for name, fields in content["fields"].items():

@@ -204,7 +204,7 @@ def motor_commands(surveys: Sequence[Survey]) -> CommandRange:
         seen = {number: _seen(surveys, number) for number in range(1, MAX_OUTPUTS + 1)}
         told = ", ".join(f"servo{number} {span}" for number, span in seen.items() if span)
         if any(found.never_armed for found in surveys):
-            raise TelemetryError("the vehicle is never armed in a log; record a flight")
+            raise TelemetryError("the vehicle is never armed; record a flight")
         raise TelemetryError(
             f"{MOTOR_MESSAGE} shows {max(len(pulses), len(moving))} outputs that move in flight; a multirotor has "
             f"more. Seen while armed: {told or 'nothing but zero'}; record a flight in the air, with the outputs that "
