@@ -191,7 +191,8 @@ def by_group(results: Sequence[Fitted]) -> list[str]:
         cells = [_faults(result.outcomes, motors=True), _faults(result.outcomes, motors=False)]
         unseen = [one for one in result.outcomes if one.flight not in result.fit.healthy]
         alarms = f"{_rate(unseen)} not in the fit" + (f"; {_rate(left_out)} left out" if left_out else "")
-        fit = "refused" if result.refused else f"{len(result.fit.healthy)} flights, {result.cpu_s:.0f} s"
+        flights = f"{len(result.fit.healthy)} flight{'s' * (len(result.fit.healthy) > 1)}"
+        fit = "refused" if result.refused else f"{flights}, {result.cpu_s:.0f} s"
         lines.append(_row(result.fit.group, fit, *cells, "" if result.refused else alarms))
     return lines
 
