@@ -226,7 +226,7 @@ def _recording(content: Mapping[str, Any]) -> Iterator[str]:
     if content["vehicle"] is not None:
         yield from _vehicle(content["vehicle"])
     elif content["messages"] and not content["fields"]:
-        yield "  nothing to fit: no message holds attitude, accelerations or motor outputs of a vehicle with their times"
+        yield "  nothing to fit: no message holds attitude, accelerations or motor outputs with their times"
     if content["fields"]:
         yield "  numbers that the channels of a custom model can take (fauio fit --vehicle custom --model MODEL.toml):"
         for name, fields in content["fields"].items():
