@@ -1,4 +1,4 @@
-"""The daemon's loop: what had arrived when it was told to end is taken, as far as there is time."""
+"""The daemon's loop: messages come before periodic work, and are processed at the end as far as there is time."""
 
 import pytest
 
@@ -7,6 +7,7 @@ from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
+from monitor.service import daemon as module
 from monitor.service.daemon import Daemon
 from monitor.service.fleet import Fleet
 from monitor.service.inbox import Inbox
@@ -34,3 +35,19 @@ def test_what_waits_at_the_end_is_taken_within_the_time_there_is(
     assert bool(signs) == bool(taken)
     assert vehicle.messages == taken
     assert inbox.statistics().waiting == WAITING - taken
+
+
+@pytest.mark.parametrize(("patience_ns", "before"), [(1 << 62, WAITING), (50_000_000, 0)])
+def test_periodic_work_waits_for_messages_as_long_as_it_has_patience(
+    quad_profile: Profile, inbox: Inbox, monkeypatch: pytest.MonkeyPatch, patience_ns: int, before: int
+) -> None:
+    monkeypatch.setattr(module, "_PATIENCE_NS", patience_ns)
+    vehicle = VehicleMonitor(Pipeline(quad_profile, "one", 1), (), None, lambda event: None, 0)
+    processed: list[int] = []
+
+    def turn(_: int) -> bool:
+        processed.append(vehicle.messages)
+        return False
+
+    Daemon(inbox, Fleet([vehicle]), lambda: (), lambda: (), turn, lambda: None).run()
+    assert processed == [before]

@@ -25,7 +25,7 @@ _SAMPLE_BYTES = 500
 _JOBS = 50_000
 """Most waiting jobs without rows: alarm events and flushes."""
 _CLIP_RECORDS = 300
-"""Records of clips written in one turn, twenty times a second: they take about 10 ms and are six times what a vehicle
+"""Records of clips written in one turn, ten times a second: they take about 10 ms and are three times what a vehicle
 sends."""
 _STALLED_S = 1.0
 """A job that takes this long has a disk that hangs: a thousand times the usual time."""

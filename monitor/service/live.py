@@ -39,6 +39,10 @@ _NEW_OBJECTS = 10_000
 """New objects after which garbage is searched for. Chosen: a search after each 700, Python's default, takes 1.4 % of
 the instructions of a batch and finds nothing, as nothing in the pipeline refers to itself; one of 10,000 takes a
 millisecond."""
+_SWITCH_S = 0.001
+"""How long a thread that needs Python's lock waits before another one has to release it; Python's default is 5 ms. An
+alarm needs the lock five times on its way (link, loop, journal, journal after the disk, loop), at worst each time
+while a recording is encoded."""
 _FINISH_S = 1.0
 """Time for the messages that still wait at the end: a monitor that could not keep up may have too many of them."""
 
@@ -74,6 +78,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         gc.collect()
         gc.freeze()
         gc.set_threshold(_NEW_OBJECTS)
+        sys.setswitchinterval(_SWITCH_S)
         watchdog = Watchdog()
         stack.callback(watchdog.close)
         turns = _Turns(received, station, inbox, notifier, watchdog, FirstLook(links, log), undecided=refuse)

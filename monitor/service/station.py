@@ -141,7 +141,7 @@ class Station:
         return replace(health, process=replace(health.process, loop_age_s=age_s))
 
     def turn(self, steady_ns: int) -> None:
-        """Do what is due for the daemon as a whole; called about twenty times a second with the steady time."""
+        """Do what is due for the daemon as a whole; called about ten times a second with the steady time."""
         self._turn_ns = steady_ns
         while not self._reloaded.empty():
             self._apply(self._reloaded.get())

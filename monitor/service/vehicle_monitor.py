@@ -385,28 +385,29 @@ class VehicleMonitor:
             outlet = None
         events = []
         for output in outputs:
-            if isinstance(output, Estimates):
-                count = len(output)
-                self._second.samples += count
-                self.samples += count
-                self._latest[output.observer] = output
-                self._watch.count_samples(output.observer, count)
-                for archive in self._archives:
-                    archive.estimates(output)
-                if outlet is not None:
-                    outlet.estimates(output)
-                continue
-            for archive in self._archives:
-                archive.event(output)
-            if outlet is not None:
+            if isinstance(output, AlarmEvent):
                 events.append(output)
+                continue
+            count = len(output)
+            self._second.samples += count
+            self.samples += count
+            self._latest[output.observer] = output
+            self._watch.count_samples(output.observer, count)
+            for archive in self._archives:
+                archive.estimates(output)
+            if outlet is not None:
+                outlet.estimates(output)
+        if outlet is not None and self._journal is not None:
+            # The journal first: while it waits for the disk, the recording is encoded.
+            for event in events:
+                self._journal.write(event, self.freeze_frame(event) if event.state == "raised" else None)
+        for archive in self._archives:
+            for event in events:
+                archive.event(event)
         if not events or outlet is None:
             return []
         self.flush()
         self.events += len(events)
-        for event in events:
-            if self._journal is not None:
-                self._journal.write(event, self.freeze_frame(event) if event.state == "raised" else None)
         self._settle()
         for event in events:
             outlet.event(event)
