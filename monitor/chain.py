@@ -221,6 +221,7 @@ class ChainRun:
             None if relative is None or np.isnan(relative[row]) else float(relative[row]),
             None if sd is None else float(sd[row]),
             self.alarms[self.faults.index(rival)].rule.channel if rival in self.faults else None,
+            let_go=alarm < len(self.faults) and bool(self.found.let_go[row, self.faults[alarm]]),
         )
 
 
@@ -332,7 +333,7 @@ class ObserverChain:
         """Restart without a channel's active alarm: the estimates forget its cause."""
         active = [alarm for alarm in self._alarms if alarm.state.active and alarm.rule.channel == channel]
         if self._close(active, time_ns, vehicle_ns, why):
-            self.sampler.restart()
+            self._begin_anew()
 
     def distrust(self, doubt: Doubt | None, time_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
         """Excuse alarms because what the observer reads is not the vehicle's, from now on and of late; None: no longer.
@@ -359,8 +360,12 @@ class ObserverChain:
                 ended = alarm.withdraw(time_ns, vehicle_ns, doubt.why, doubt.since_ns)
                 events += self._excuses.consequence(ended, alarm.state)
         if changed and doubt is None:
-            self.sampler.restart()
+            self._begin_anew()
         return events
+
+    def _begin_anew(self) -> None:
+        self.sampler.restart()
+        self._estimator.forget()
 
     def _close(self, alarms: Sequence[Alarm], time_ns: int, vehicle_ns: int, why: str) -> list[AlarmEvent]:
         events = [alarm.close(time_ns, vehicle_ns, why) for alarm in alarms]
@@ -370,7 +375,8 @@ class ObserverChain:
 
     def enter(self, allowed: bool) -> None:
         """Restart at the next sample if the phase has come to allow evidence."""
-        self._sampler.enter(allowed)
+        if self._sampler.enter(allowed):
+            self._estimator.forget()
 
     def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase, batch: Batch) -> ChainRun | None:
         """Process n samples of :attr:`sampler`: estimates, and evidence for :func:`alarm_events` to make events of.

@@ -254,6 +254,14 @@ def test_an_alarm_whose_raises_were_forged_clears_as_if_it_had_been_raised_once(
     assert [event.state for event in run(alarm, [0.0] * 100, start=390)] == ["cleared"]
 
 
+def test_a_fault_that_was_let_go_is_not_said_to_be_gone() -> None:
+    alarm, one, none = new_alarm(), np.ones(1, np.int64), np.zeros((1, 0))
+    run(alarm, [-0.05] * 30)
+    samples = Samples(one, one, one, none, none, one < 0, one > 0, one, one > 0, none > 0)
+    assert alarm.event(CLEARED, samples, 0).message == "motor1 is back to normal"
+    assert "whether the fault is gone is not known" in alarm.event(CLEARED, samples, 0, let_go=True).message
+
+
 @given(st.lists(st.floats(-1, 1, allow_nan=False), max_size=400))
 def test_events_alternate_between_raised_and_cleared_whatever_comes(values: list[float]) -> None:
     events = run(new_alarm(), values)

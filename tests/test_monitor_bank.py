@@ -219,20 +219,21 @@ class Choices:
     def run(
         self,
         J: list[list[float]],
-        fault: tuple[float, ...] = (-1.0, -2.0, -3.0, -4.0),
+        fault: tuple[float, ...] | np.ndarray = (-1.0, -2.0, -3.0, -4.0),
         armed: bool = True,
         beyond: float = 1.0,
         corrected: np.ndarray | None = None,
+        restart: np.ndarray | None = None,
+        resumed: np.ndarray | None = None,
     ) -> EstimatorRun:
         count = len(J)
         flags = np.ones(count, np.uint8)
         x = np.tile(np.arange(3.0), (count, 1))[:, :, None]
         residual = np.sqrt(np.array(J))[:, :, None]
-        faults = np.tile(fault, (count, 1))
+        faults = np.broadcast_to(fault, (count, 4))
+        begins, larger = 0 * flags if restart is None else restart, np.full(count, beyond)
         return EstimatorRun(
-            *self._choice.run(
-                x, faults, residual, flags, flags, 0 * flags, armed * flags, np.full(count, beyond), corrected
-            )
+            *self._choice.run(x, faults, residual, flags, flags, begins, armed * flags, larger, corrected, resumed)
         )
 
 
@@ -367,3 +368,27 @@ def test_outside_of_the_fitted_flights_only_so_much_larger_estimates_are_given_b
     ]
     assert given[0] < -8.0
     assert given[1] == -1.0
+
+
+@pytest.mark.parametrize("unseen", [200, 400])
+@pytest.mark.parametrize("resumed", [True, False])
+def test_a_faded_fault_is_kept_over_a_gap_until_it_ends_or_is_let_go_as_not_known(unseen: int, resumed: bool) -> None:
+    """8 m, washed out within 30 s at 10 Hz; in the gap it grows to 10 m."""
+    faded = np.exp(-np.arange(200) / 300.0)
+    size = np.concatenate([-8.0 * faded, np.zeros(unseen), 10.0 * faded])
+    restart = np.arange(len(size)) == 200
+    run = Choices(washed=washout_inverse(30.0, 10.0, 1.5)).run(
+        [[0.0, 1.0, 1.0]] * len(size),
+        np.column_stack([size, *np.zeros((3, len(size)))]),
+        restart=restart,
+        resumed=restart & resumed,
+    )
+    if not resumed:
+        assert not run.evidence[200 : 200 + unseen, 0].any()
+        assert not run.let_go.any()
+        return
+    assert run.evidence[199 : 199 + min(unseen, 300), 0] == pytest.approx(-8.0, abs=0.1)
+    assert run.let_go[200 : 200 + unseen, 0].any() == (unseen > 300)
+    assert run.let_go[499:600, 0].all() == (unseen > 300)
+    assert not run.evidence[200 + unseen + 15 :, 0].any()
+    assert not run.let_go[-1, 0]

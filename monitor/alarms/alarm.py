@@ -264,12 +264,15 @@ class Alarm:
         relative: float | None = None,
         sd: float | None = None,
         instead: str | None = None,
+        *,
+        let_go: bool = False,
     ) -> AlarmEvent:
         """Return the event of the latest row.
 
         ``code`` (RAISED, UPDATED or CLEARED) is what the rule returned for the row. ``command`` is the command of which
         the fault takes a share, if that makes sense; ``relative`` is that share if it is known in another way; ``sd``
         is the standard deviation of the size; ``instead`` the channel that may be responsible in place of this one.
+        A fault that was ``let_go`` has not been seen to end.
         """
         rule, now = self.rule, self.state
         vehicle_ns, time_ns = int(samples.vehicle_time_ns[row]), int(samples.time_ns[row])
@@ -286,6 +289,8 @@ class Alarm:
         message = alarm_message(rule.observer, rule.channel, rule.kind, rule.unit, state, now.shown, relative)
         if rule.unit == RESISTANCE and code != CLEARED:
             message += f": {battery_text(*samples.u[row, 1:])}"
+        if let_go and code == CLEARED:
+            message = f"{rule.channel}: whether the fault is gone is not known; a constant one shows only as it changes"
         if instead is not None:
             message += f"; it may be {instead} instead, the two are not told apart yet"
         if now.recurring and code != CLEARED:

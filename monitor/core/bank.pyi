@@ -37,7 +37,8 @@ class Choice:
         armed: Flags,
         beyond: Array | None,
         corrected: Flags | None = None,
-    ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], Array, Array, Array, NDArray[np.intp]]: ...
+        resumed: Flags | None = None,
+    ) -> tuple[Array, Array, Array, Array, Flags, Array, Array, Array, NDArray[np.intp], Flags]: ...
 
 class EdgeDetector:
     edge: float

@@ -163,21 +163,25 @@ cdef class Choice:
 
     def run(self, const double[:, :, :] x, const double[:, :] fault, const double[:, :, :] residual,
             const unsigned char[:] measured, const unsigned char[:] complete, const unsigned char[:] restart,
-            const unsigned char[:] armed, const double[:] beyond, const unsigned char[:] corrected=None):
-        """Return x, fault, believed residual, evidence, counted, smoothed, unexplained, level, rival of n rows.
+            const unsigned char[:] armed, const double[:] beyond, const unsigned char[:] corrected=None,
+            const unsigned char[:] resumed=None):
+        """Return x, fault, believed residual, evidence, counted, smoothed, unexplained, level, rival, let go of n rows.
 
         x (n, K, states), fault (n, F) and residual (n, K, p) are the estimates of the observers. A row that is neither
         measured nor a restart does not change the choice. The level is followed over rows that are evidence
         (``armed``). ``beyond`` is the factor by which all sizes are larger outside of the fitted flights; None: 1.
         Where y was ``corrected`` (None: nowhere), the residual is a jump of the data, not of a sensor, and is left out.
+        A restart at which the same flight is ``resumed`` (None: none is) keeps the restored washed-out faults. Faults
+        that were let go without having been seen to end are in the last result (:class:`Washout`).
         """
         cdef Py_ssize_t k, i, count = x.shape[0], states = x.shape[2], p = residual.shape[2], a = self.shown.shape[0]
         if not count == fault.shape[0] == residual.shape[0]:
             raise ValueError("x, fault and residual differ in length")
         if not count == measured.shape[0] == complete.shape[0] == restart.shape[0] == armed.shape[0] or (
             beyond is not None and beyond.shape[0] != count or corrected is not None and corrected.shape[0] != count
+            or resumed is not None and resumed.shape[0] != count
         ):
-            raise ValueError("x, measured, complete, restart, armed, beyond and corrected differ in length")
+            raise ValueError("x, measured, complete, restart, armed, beyond, corrected and resumed differ in length")
         if x.shape[1] != self.J.shape[0] or residual.shape[1] != self.J.shape[0] or p != self.residual.shape[1]:
             raise ValueError("x and residual are not of the bank's hypotheses and outputs")
         if fault.shape[1] != self.fault.shape[0]:
@@ -185,8 +189,9 @@ cdef class Choice:
         results = (
             np.empty((count, states)), np.empty((count, a)), np.empty((count, p)), np.empty((count, a)),
             np.empty((count, a), np.bool_), np.empty((count, a)), np.empty(count), np.empty(count),
-            np.empty((count, a), np.intp),
+            np.empty((count, a), np.intp), np.zeros((count, a), np.bool_),
         )
+        cdef unsigned char[:, ::1] let_go = results[9]
         cdef Py_ssize_t[:, ::1] rival = results[8]
         cdef double[:, ::1] shown_x = results[0], shown_fault = results[1], shown_residual = results[2]
         cdef double[:, ::1] evidence = results[3], smoothed = results[5]
@@ -195,7 +200,7 @@ cdef class Choice:
         cdef double brought
         for k in range(count):
             if restart[k]:
-                self.clear()
+                self.clear(resumed is not None and resumed[k])
             level[k] = max(1.0, self.level)
             if measured[k] or restart[k]:
                 self.update(fault, residual, k, complete[k] and not self.coasted,
@@ -215,10 +220,12 @@ cdef class Choice:
                 evidence[k, i] = self.evidence[i]
                 counted[k, i] = self.counted[i]
                 rival[k, i] = self.rival[i]
+            for i in range(self.washed.shape[0]):
+                let_go[k, self.washed[i]] = (<Washout> self.washouts[i]).gone != 0.0
             unexplained[k] = self.unexplained
         return results
 
-    cdef void clear(self) noexcept:
+    cdef void clear(self, bint resumed) noexcept:
         cdef Py_ssize_t i
         self.residual[:] = 0.0
         self.mean_residual[:] = 0.0
@@ -232,7 +239,10 @@ cdef class Choice:
         for i in range(self.watched.shape[0]):
             (<EdgeDetector> self.detectors[i]).clear()
         for i in range(self.washed.shape[0]):
-            (<Washout> self.washouts[i]).clear()
+            if resumed:
+                self.remembered[i] = (<Washout> self.washouts[i]).resume()
+            else:
+                (<Washout> self.washouts[i]).clear()
 
     cdef void update(self, const double[:, :] fault, const double[:, :, :] residual, Py_ssize_t row,
                      bint complete, double beyond, bint corrected) noexcept:
@@ -580,9 +590,10 @@ cdef class Washout:
     - |f_w| <= threshold / 2 again while f is still large: the fault lasts, fully washed out, and the integral is held
       for ``longest`` rows. After that no measurement supports the fault any more: it is let go, but remembered, so that
       its end, an opposite step of its size, is not taken for a new fault;
-    - |f| within the threshold again, or within a tenth of its peak (errors of a tenth leave as much): the fault is
-      over. The result is zero until |f_w| has stayed small for ``settle`` rows (a step down passes through zero); then
-      everything is forgotten.
+    - a gap, after which all positions begin anew: the fault is held likewise, as if it had been washed out;
+    - |f| within the threshold again, or within a tenth of its peak (errors of a tenth leave as much; within half of it
+      if the fault may have changed in a gap): the fault is over. The result is zero until |f_w| has stayed small for
+      ``settle`` rows (a step down passes through zero); then everything is forgotten.
 
     Parameters
     ----------
@@ -598,6 +609,8 @@ cdef class Washout:
     cdef readonly double threshold, peak
     cdef double share, before, integral, gone
     cdef Py_ssize_t settle, longest, still, moving, ended
+    # The share of the peak within which the fault is over.
+    cdef double left
 
     def __init__(self, share, threshold, settle, longest):
         self.share, self.threshold, self.settle, self.longest = share, threshold, settle, longest
@@ -606,6 +619,16 @@ cdef class Washout:
     cdef void clear(self) noexcept:
         self.before = self.integral = self.peak = self.gone = 0.0
         self.still = self.moving = self.ended = 0
+        self.left = WASHOUT_OVER
+
+    cdef bint resume(self) noexcept:
+        """Go on after a gap in which the estimate began anew; return whether a fault is held."""
+        cdef bint lasts = self.peak != 0.0 and self.ended == 0
+        self.integral = self.before + self.integral if lasts else 0.0
+        self.peak = self.peak if lasts else 0.0
+        self.before, self.left = 0.0, WASHOUT_RETURNED
+        self.moving = self.ended = 0
+        return lasts
 
     def run(self, const double[:] washed):
         """Return f of each of n rows (n,)."""
@@ -632,12 +655,14 @@ cdef class Washout:
         size = fabs(fault)
         if moves and self.returns(fault, threshold):
             return 0.0
+        if self.peak == 0.0:
+            self.left = WASHOUT_OVER
         if size > threshold and size > self.peak:
             self.peak = size
-        over = size <= max(threshold, WASHOUT_OVER * self.peak)
+        over = size <= max(threshold, self.left * self.peak)
         if not moves and not over and self.still >= self.longest:
             # While held the integral did not change, but this row may already belong to the end of the fault.
-            self.gone = self.integral
+            self.gone += self.integral
             self.integral = self.peak = 0.0
             return washed
         self.ended = self.ended + 1 if over and not moves else 0

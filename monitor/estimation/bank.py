@@ -54,7 +54,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Given
+from adapters.sample import Given, Samples
 from monitor.core.bank import Choice, EdgeDetector, Washout
 from monitor.estimation.isolation_rule import BankRule, keep_share
 from monitor.estimation.observer import FaultSet, Observer
@@ -79,6 +79,8 @@ class EstimatorRun(NamedTuple):
     level: NDArray[np.float64]
     # channel that may be responsible in place of each (N, a), -1 where what was measured tells the two apart
     rival: NDArray[np.intp]
+    # channels with a fault that was let go without having been seen to end (N, a)
+    let_go: NDArray[np.bool_]
 
 
 def washout_inverse(tau: float, rate_hz: float, threshold: float) -> Washout:
@@ -146,6 +148,7 @@ class Bank:
         self, observer: Observer, rule: BankRule, faults: Sequence[str], thresholds: Mapping[str, float]
     ) -> None:
         self._observer = observer
+        self._newest_ns, self._forgets = 0, False
         hypotheses, rate_hz = observer.hypotheses, observer.rate_hz
         sizes = np.array([len(hypothesis.faults) for hypothesis in hypotheses])
         compared = ~np.array(rule.edges)
@@ -183,6 +186,10 @@ class Bank:
             follow=1.0 - keep_share(rule.level_s, rate_hz),
         )
 
+    def forget(self) -> None:
+        """Forget all faults at the next restart."""
+        self._forgets = True
+
     def run(self, given: Given, armed: NDArray[np.bool_]) -> EstimatorRun:
         """Process N samples; return the estimates under the hypothesis believed and the evidence after each.
 
@@ -193,9 +200,31 @@ class Bank:
         run = self._observer.run(samples.u, samples.y, measured, restart)
         return EstimatorRun(
             *self._choice.run(
-                run.x, run.fault, run.residual, measured, samples.complete, restart, armed, beyond, corrected
+                run.x,
+                run.fault,
+                run.residual,
+                measured,
+                samples.complete,
+                restart,
+                armed,
+                beyond,
+                corrected,
+                self._resumed(samples),
             )
         )
+
+    def _resumed(self, samples: Samples) -> NDArray[np.bool_]:
+        """Return the restarts at which the same flight goes on (N,).
+
+        A gap that is longer than washed-out faults are held ends them.
+        """
+        times_ns, restart = samples.vehicle_time_ns, samples.restart
+        apart_ns = np.diff(times_ns, prepend=self._newest_ns)
+        resumed: NDArray[np.bool_] = restart & (apart_ns > 0) & (apart_ns <= _STANDS_S * 1e9)
+        if self._forgets and restart.any():
+            self._forgets, resumed[restart.argmax()] = False, False
+        self._newest_ns = int(times_ns[-1]) if len(times_ns) else self._newest_ns
+        return resumed
 
 
 def owners(hypotheses: Sequence[FaultSet], faults: Sequence[str]) -> list[int]:

@@ -25,6 +25,9 @@ class JointEstimator:
         keep = keep_share(rule.smoothing_s, observer.rate_hz)
         self._isolation = IndependentIsolation(len(observer.hypotheses[0].faults), keep)
 
+    def forget(self) -> None:
+        """Do nothing: no restart keeps a fault."""
+
     def run(self, given: Given, armed: NDArray[np.bool_]) -> EstimatorRun:
         """Process N samples; return the estimates and the evidence after each.
 
@@ -43,6 +46,7 @@ class JointEstimator:
             unexplained=np.zeros(len(evidence)),
             level=np.ones(len(evidence)),
             rival=np.full(evidence.shape, -1, np.intp),
+            let_go=np.zeros(evidence.shape, np.bool_),
         )
 
 

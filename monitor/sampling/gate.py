@@ -179,11 +179,12 @@ class GatedSampler:
         self._allowed = False
         self._supply = None if supply is None else Supply(supply)
 
-    def enter(self, allowed: bool) -> None:
-        """Restart the samples where the phase has come to allow evidence."""
-        if allowed and not self._allowed:
+    def enter(self, allowed: bool) -> bool:
+        """Restart the samples where the phase has come to allow evidence; return whether it has."""
+        enters, self._allowed = allowed and not self._allowed, allowed
+        if enters:
             self.sampler.restart()
-        self._allowed = allowed
+        return enters
 
     def supplied(self, samples: Samples, batch: Batch, position: NDArray[np.int64]) -> Samples:
         """Return samples of :attr:`sampler` with what the commands are worth at the battery's voltage.
