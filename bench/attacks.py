@@ -325,6 +325,12 @@ def _both(*attacks: Distortion) -> Distortion:
     return made
 
 
+def _bursts(name: str, changes: Mapping[str, Any], count: int, step_s: float) -> Distortion:
+    """Forge a message several times in a row, every 10 s."""
+    turns = [insert(name, lambda said: changes, 10.0, False, k * step_s) for k in range(count)]
+    return _both(*turns)
+
+
 def _shifted(name: str, by_ms: float) -> Distortion:
     """Alter the stamps of all messages of a kind by so much."""
     unit = {"time_boot_ms": 1.0, "time_usec": 1e3}
@@ -344,6 +350,8 @@ FORGED: Mapping[str, Distortion] = {
     "HEARTBEAT disarmed, ten a second": insert(
         "HEARTBEAT", lambda said: {"base_mode": said["base_mode"] & 127}, 0.1, True
     ),
+    "EXTENDED_SYS_STATE on ground, five in 1 s, every 10 s": _bursts("EXTENDED_SYS_STATE", {"landed_state": 1}, 5, 0.2),
+    "HEARTBEAT disarmed, three in 0.15 s, every 10 s": _bursts("HEARTBEAT", {"base_mode": 81}, 3, 0.05),
     "HEARTBEAT disarmed, once": insert("HEARTBEAT", lambda said: {"base_mode": said["base_mode"] & 127}, 99.0, False),
     "HEARTBEAT altered to mode LAND": alter("HEARTBEAT", lambda said, first: {"custom_mode": LAND}),
     "HEARTBEAT altered to an emergency": alter("HEARTBEAT", lambda said, first: {"system_status": 6}),

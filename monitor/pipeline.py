@@ -472,13 +472,17 @@ class Pipeline:
         self._driven_ns = now_ns + SECOND_NS
 
     def _follow_landing(self, now_ns: int) -> None:
-        """Follow whether a landing vehicle that does not sink hovers by its mean command, or without one moves on."""
+        """Follow whether a landing vehicle that does not sink hovers by its mean command.
+
+        Without commands and height: whether it moves on. A plane that flares and rolls out does not sink, either.
+        """
         if not self._phase.level:
             self._level_ns = None
         elif self._level_ns is None or not 0 < self._level_ns - now_ns <= _LEVEL_NS:
             if self._level_ns is not None:
                 by_command = [gate.hovers for gate in self._gates if gate.commands]
-                self._phase.hovers = any(by_command or [self._phase.moves(now_ns - _LEVEL_NS, now_ns)])
+                moves = not self._phase.has_height and self._phase.moves(now_ns - _LEVEL_NS, now_ns)
+                self._phase.hovers = any(by_command or [moves])
             for gate in self._gates:
                 gate.watch_commands()
             self._level_ns = now_ns + _LEVEL_NS

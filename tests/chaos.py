@@ -206,14 +206,18 @@ ATTACK_S = 3.0
 
 
 def insert(
-    name: str, changes: Callable[[Mapping[str, Any]], Mapping[str, Any]], every_s: float, own: bool
+    name: str,
+    changes: Callable[[Mapping[str, Any]], Mapping[str, Any]],
+    every_s: float,
+    own: bool,
+    after_s: float = 0.0,
 ) -> Distortion:
     """Forge a message again and again: the newest of its kind with other values, and numbers of its ``own`` or not."""
     number = _number(name)
 
     def forged(packets: Sequence[Due], rng: random.Random, now_ns: int) -> list[Due]:
         made: list[Due] = []
-        newest, due_ns, sent = None, round(ATTACK_S * 1e9), 0
+        newest, due_ns, sent = None, round((ATTACK_S + after_s) * 1e9), 0
         for due, packet in packets:
             while newest is not None and due >= due_ns:
                 false = with_fields(newest, changes(packet_fields(newest)))

@@ -251,8 +251,10 @@ def test_a_vehicle_without_motor_commands_that_moves_on_has_not_landed(
     assert all(4.0 <= s < 5.5 for s in found[:1])
 
 
-def landing(calm_flight: list[Message], sinks_mm_s: float | None, command: int | None) -> list[Message]:
-    """Return messages of a vehicle that reports that it lands, with a sinking altitude (None: no fix) and commands."""
+def landing(
+    calm_flight: list[Message], sinks_mm_s: float | None, command: int | None, height_mm: int | None
+) -> list[Message]:
+    """Return messages of a vehicle that reports that it lands: its altitude sinks (None: no fix), commands, height."""
 
     def change(message: Message, s: float) -> Message:
         fields = dict(message.fields)
@@ -264,18 +266,31 @@ def landing(calm_flight: list[Message], sinks_mm_s: float | None, command: int |
             fields |= {f"servo{k}_raw": command + k for k in range(1, 5)}
         return replace(message, fields=fields)
 
-    return altered(calm_flight, change)
+    heights = [] if height_mm is None else [m for m in calm_flight if m.name == "EXTENDED_SYS_STATE"]
+    said = [replace(m, name="GLOBAL_POSITION_INT", fields={"relative_alt": height_mm}) for m in heights]
+    return sorted([*altered(calm_flight, change), *said], key=lambda message: message.received_ns)
 
 
 @pytest.mark.parametrize(
-    ("sinks_mm_s", "command", "watched"),
-    [(0.0, None, True), (None, None, True), (400.0, None, False), (0.0, 1200, False)],
-    ids=["hovers", "no_gps", "sinks", "on_the_ground"],
+    ("sinks_mm_s", "command", "height_mm", "watched"),
+    [
+        pytest.param(0.0, None, None, True, id="hovers"),
+        pytest.param(0.0, None, 500, True, id="hovers_and_reports_to_be_low"),
+        pytest.param(None, None, None, True, id="no_gps"),
+        pytest.param(400.0, None, None, False, id="sinks"),
+        pytest.param(400.0, None, 500, False, id="sinks_and_reports_to_be_low"),
+        pytest.param(0.0, 1200, None, False, id="on_the_ground"),
+    ],
 )
-def test_a_landing_vehicle_of_unknown_height_is_watched_while_it_hovers(
-    bundled_quad: Profile, calm_flight: list[Message], sinks_mm_s: float | None, command: int | None, watched: bool
+def test_a_landing_vehicle_that_is_not_known_to_be_high_is_watched_while_it_hovers(
+    bundled_quad: Profile,
+    calm_flight: list[Message],
+    sinks_mm_s: float | None,
+    command: int | None,
+    height_mm: int | None,
+    watched: bool,
 ) -> None:
     pipeline = Pipeline(bundled_quad)
-    events_of(bundled_quad, landing(calm_flight, sinks_mm_s, command), pipeline)
+    events_of(bundled_quad, landing(calm_flight, sinks_mm_s, command, height_mm), pipeline)
     why = {name: one.why_not for name, one in pipeline.watching(calm_flight[-1].received_ns).items()}
     assert why["motors"] == (None if watched else "on_ground")

@@ -108,6 +108,18 @@ def test_one_false_report_among_true_ones_that_keep_their_period_is_contested_be
     assert all(contested and armed is not False and state != "ground" for armed, state, contested in found[first:last])
 
 
+@pytest.mark.parametrize(("say", "every_s", "true", "false"), [(beat, 1.0, 209, 81), (landed, 1.0, 2, 1)])
+@pytest.mark.parametrize("step_s", [0.02, 0.2])
+def test_false_reports_in_bursts_between_two_true_ones_are_contested_after_the_first_burst(
+    step_s: float, say: Callable[[float, int], Message], every_s: float, true: int, false: int
+) -> None:
+    forged = [say(burst + 0.05 + step_s * at, false) for burst in (12.0, 22.0) for at in range(4)]
+    found = states([say(every_s * at, true) for at in range(40)] + forged)
+    first = next(place for place, (_, _, contested) in enumerate(found) if contested)
+    assert first <= 13 + 4 + 2
+    assert all(armed is not False and state != "ground" for armed, state, _ in found[first:])
+
+
 def test_reports_that_a_link_holds_back_and_brings_together_are_no_contest() -> None:
     says = [209] * 20 + [81] + [209] * 20
     found = states([beat(3.0 * (at // 3) + 0.01 * at, mode) for at, mode in enumerate(says)])

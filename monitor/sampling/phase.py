@@ -1,7 +1,7 @@
 """Flight phase as the vehicle reports it (armed or not, on the ground or in the air), and the vehicle's identity.
 
 The newest report holds, unless two senders answer by turns. The reports of one sender keep their period. If its value
-changes and changes back, the two reports around the changed one are two periods apart; if another sender's report comes
+changes and changes back, the two reports around the changed one are two periods apart; if another sender's reports come
 in between, they are one period apart. Reports are therefore contested
 
 - after a single such change, however rare, if the two reports before it and the two after it agree and kept their
@@ -13,9 +13,9 @@ ground may raise an alarm too many, a vehicle that is not watched in the air may
 another vehicle, and a vehicle in the air does not take off: whoever reports that is another sender.
 
 A landing vehicle counts as in the air until it is near the ground, by its reported height above home: a descent takes
-as long as many a flight. A vehicle that does not report whether it flies is near the ground by that height, too. Where
-no height comes, a landing vehicle sinks, by the altitude of its GPS: while it does not, or the GPS was lost, and its
-motors run as in hover (without motors: it moves on), it counts as in the air.
+as long as many a flight. A vehicle that does not report whether it flies is near the ground by that height, too. Near
+the ground, or where no height comes, a landing vehicle sinks, by the altitude of its GPS: while it does not, or the GPS
+was lost, and its motors run as in hover (without motors and height: it moves on), it counts as in the air.
 
 Nobody else writes into a vehicle's own log, and it holds a report for each change: its reports are never contested.
 """
@@ -121,25 +121,31 @@ def _contested(times: tuple[int, ...], values: tuple[object, ...]) -> bool:
     first: dict[frozenset[object], int] = {}
     if len(changes) >= _CHANGES and any(time - first.setdefault(pair, time) > _HELD_NS for time, pair in changes):
         return True
-    steps = sorted(b - a for (a, x), (b, y) in pairwise(zip(times, values, strict=True)) if x == y)
+    steps: dict[object, list[int]] = {}
+    for (a, x), (b, y) in pairwise(zip(times, values, strict=True)):
+        if x == y:
+            steps.setdefault(x, []).append(b - a)
     if not steps:
         return False
-    # Two radios that both bring each report give unequal steps, and twice as many.
-    period = min(steps[len(steps) // 2], sum(steps) // len(steps))
-    between = [
-        i
-        for i in range(1, len(values) - 1)
-        if values[i - 1] == values[i + 1] != values[i] and times[i + 1] - times[i - 1] <= _PERIODS * period
-    ]
-    return len(between) >= _TURNS or any(_is_extra(times[i - 2 :], values[i - 2 :], period) for i in between if i > 1)
+    period = _period([step for found in steps.values() for step in found])
+    begins = [i for i in range(len(values)) if i == 0 or values[i - 1] != values[i]]
+    within = [(i, k) for i, k in pairwise(begins[1:]) if values[i - 1] == values[k]]
+    turns = sum(times[k] - times[i - 1] <= _PERIODS * period for i, k in within)
+    return turns >= _TURNS or any(
+        _keep_period((*times[i - 2 : i], *times[k : k + 2]), _period(steps[values[k]]))
+        for i, k in within
+        if i > 1 and values[i - 2 : i] == values[k : k + 2]
+    )
 
 
-def _is_extra(times: tuple[int, ...], values: tuple[object, ...], period: int) -> bool:
-    """Return whether the four other reports of five agree and kept their period without the third."""
-    if len(times) < 5 or not values[0] == values[1] == values[3] == values[4]:
-        return False
-    steps = times[1] - times[0], times[3] - times[1], times[4] - times[3]
-    return all(period <= _PERIODS * step and step <= _PERIODS * period for step in steps)
+def _period(steps: list[int]) -> int:
+    """Return the usual step; two radios that both bring each report give unequal steps, and twice as many."""
+    return min(sorted(steps)[len(steps) // 2], sum(steps) // len(steps))
+
+
+def _keep_period(times: tuple[int, ...], period: int) -> bool:
+    """Return whether reports kept their period, without what came between them."""
+    return all(period <= _PERIODS * (b - a) and b - a <= _PERIODS * period for a, b in pairwise(times))
 
 
 class FlightPhase:
@@ -149,7 +155,8 @@ class FlightPhase:
     vehicle has told about itself; ``contradiction`` the sentence that shows that it is another one, None if nothing
     does; ``contested`` names the messages that two senders answer by turns. ``driven`` is set while the vehicle counts
     as flying although it reports that it does not, because its commands are those of flight or it moves on; ``hovers``
-    while those of a landing vehicle are the ones of hover (without commands: while it moves on), or not known yet;
+    while those of a landing vehicle are the ones of hover (without commands and height: while it moves on), or not
+    known yet;
     ``logged`` if the reports are those of its own log. ``carried`` is what carries a vehicle with rotors and wings by
     its own report, None without one. ``interests`` names the messages that are read.
     """
@@ -196,9 +203,13 @@ class FlightPhase:
 
     @property
     def level(self) -> bool:
-        """Whether it lands, at an unknown height, and does not sink as far as is known."""
-        lands = self._landed == "landing" and self._height_ns is None
-        return lands and self._fix_ns is not None and not self._sinks
+        """Whether it lands and does not sink as far as is known."""
+        return self._landed == "landing" and self._fix_ns is not None and not self._sinks
+
+    @property
+    def has_height(self) -> bool:
+        """Whether it reported its height of late."""
+        return self._height_ns is not None
 
     @property
     def _stays_up(self) -> bool:
