@@ -215,6 +215,11 @@ COMMANDED: Mapping[str, Distortion] = {
         times=500,
         every_s=0.02,
     ),
+    "GPS_INPUT, 5 a second": commands(
+        lambda system: mavlink.MAVLink_gps_input_message(0, 0, 0, 0, 0, 3, 473977420, 85455940, 488, 1, 1, *[0] * 7, 9),
+        times=50,
+        every_s=0.2,
+    ),
     "a file written by FTP": commands(ftp(6), ftp(7), ftp(1)),
     "files read by FTP": commands(ftp(4), ftp(5), times=50, every_s=0.02),
     "SERIAL_CONTROL opens a shell": commands(

@@ -104,6 +104,7 @@ FTP_READS, FTP_WRITES = (15, 4, 2), (6, 8, 13)
     [
         ("RC_CHANNELS_OVERRIDE", {"chan1_raw": 1500}, "overrides its radio control"),
         ("MANUAL_CONTROL", {"target": 1, "x": 500}, "steers it by joystick"),
+        ("GPS_INPUT", {"lat": 0}, "feeds it positions"),
         ("SET_ATTITUDE_TARGET", {"thrust": 0.5}, "sets its attitude"),
         ("SET_POSITION_TARGET_LOCAL_NED", {"x": 5.0}, "sends it elsewhere"),
         ("SERIAL_CONTROL", {"flags": 2}, "writes to its serial ports"),

@@ -80,6 +80,9 @@ _PLAN_TYPES = {1: "rewrites the fence", 2: "rewrites the rally points"}
 _SETS_PARAMETERS = ("PARAM_SET", "PARAM_EXT_SET")
 _STREAMS = {
     "FILE_TRANSFER_PROTOCOL": "writes files",
+    "GPS_INPUT": "feeds it positions",
+    "HIL_GPS": "feeds it positions",
+    "HIL_SENSOR": "feeds it measurements",
     "MANUAL_CONTROL": "steers it by joystick",
     "MISSION_ITEM": "sends it elsewhere",
     "MISSION_ITEM_INT": "sends it elsewhere",
@@ -100,6 +103,8 @@ names for six vehicles; a monitor has one vehicle, a forged log may name 256."""
 _FTP_OPCODE, _FTP_WRITES = 3, range(6, 14)
 """Index of the opcode in the payload, and the opcodes from CreateFile to Rename:
 https://mavlink.io/en/services/ftp.html."""
+_ALL_VEHICLES = ("GPS_INPUT", "HIL_GPS", "HIL_SENSOR", "SERIAL_CONTROL")
+"""Messages that name no vehicle."""
 _SERIAL_REPLY = 1
 """SERIAL_CONTROL_FLAG_REPLY: the autopilot reports the data of a port."""
 _GOES_THERE = (2, 3)
@@ -150,8 +155,8 @@ def command_sent(
 
 def _is_for(name: str, fields: Mapping[str, Any], vehicle: int | None) -> bool:
     """Return whether a message commands a vehicle's autopilot (None: that of any vehicle), by its content."""
-    if name == "SERIAL_CONTROL":
-        return not _whole(fields.get("flags")) & _SERIAL_REPLY
+    if name in _ALL_VEHICLES:
+        return name != "SERIAL_CONTROL" or not _whole(fields.get("flags")) & _SERIAL_REPLY
     if vehicle is not None and _whole(fields.get(_target(name))) not in (0, vehicle):
         return False
     if _whole(fields.get("target_component", 0)) not in (0, AUTOPILOT):
@@ -175,7 +180,7 @@ def commanded_systems(entry: Message | Columns) -> set[int]:
     """Return the systems that a message (or columns) commands, 0 for all; an empty set if it is not a command."""
     if entry.name not in COMMANDS or entry.source is not MAVLINK:
         return set()
-    if entry.name == "SERIAL_CONTROL":
+    if entry.name in _ALL_VEHICLES:
         return {0}
     target = entry.fields.get(_target(entry.name))
     if isinstance(entry, Columns):
