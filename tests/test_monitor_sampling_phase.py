@@ -149,6 +149,11 @@ def test_a_landing_reported_over_two_links_up_to_three_and_a_half_seconds_apart_
     assert found[-1][0] is False
 
 
+def test_arming_reported_over_a_second_radio_that_has_just_begun_to_arrive_is_no_contest() -> None:
+    says = [beat(at + delay, 81 if at < 6 else 209) for at in range(20) for delay in (0.0, 3.52)]
+    assert all(not contested for _, _, contested in states(says))
+
+
 def test_a_take_off_and_the_climb_after_it_are_no_contest_over_two_links() -> None:
     says = [1] * 18 + [3] * 18 + [2] * 20
     found = states([landed(0.5 * step + delay, state) for step, state in enumerate(says) for delay in (0.02, 3.5)])

@@ -4,8 +4,8 @@ The newest report holds, unless two senders answer by turns. The reports of one 
 changes and changes back, the two reports around the changed one are two periods apart; if another sender's reports come
 in between, they are one period apart. Reports are therefore contested
 
-- after a single such change, however rare, if the two reports before it and the two after it agree and kept their
-  period without it;
+- after a single such change, or a burst of reports, however rare, if the two reports before it and the two after it
+  agree and kept their period without it;
 - otherwise from the third such change within 10 s on, or from the eighth change of any kind over more than 3.5 s.
 
 While reports are contested, the vehicle counts as flying as long as reports say so: a vehicle that is watched on the
@@ -16,6 +16,8 @@ A landing vehicle counts as in the air until it is near the ground, by its repor
 as long as many a flight. A vehicle that does not report whether it flies is near the ground by that height, too. Near
 the ground, or where no height comes, a landing vehicle sinks, by the altitude of its GPS: while it does not, or the GPS
 was lost, and its motors run as in hover (without motors and height: it moves on), it counts as in the air.
+
+For some seconds after the vehicle has armed nothing is contested: a slower radio still reports that it has not.
 
 Nobody else writes into a vehicle's own log, and it holds a report for each change: its reports are never contested.
 """
@@ -54,6 +56,9 @@ by a second; a second sender at the vehicle's own rate makes them in 2 s."""
 _CHANGES = 8
 """Changes of any kind from which on reports are contested: landing and bouncing twice make six. A second sender makes
 them in 4 s."""
+_BURST = 3
+"""Least number of reports between two of one sender that are a burst of another's. The quicker of two radios brings one
+report in that time, or two."""
 _HELD_NS = 3_500_000_000
 """Shortest time from the first to the last change between the same two values: the slower of two radios repeats an old
 report up to 3 s later (docs/limits.md), of a take-off and of the climb after it."""
@@ -132,9 +137,9 @@ def _contested(times: tuple[int, ...], values: tuple[object, ...]) -> bool:
     within = [(i, k) for i, k in pairwise(begins[1:]) if values[i - 1] == values[k]]
     turns = sum(times[k] - times[i - 1] <= _PERIODS * period for i, k in within)
     return turns >= _TURNS or any(
-        _keep_period((*times[i - 2 : i], *times[k : k + 2]), _period(steps[values[k]]))
+        _keep_period((*times[i - 2 : i], *times[k : k + 2]), period if k - i == 1 else _period(steps[values[k]]))
         for i, k in within
-        if i > 1 and values[i - 2 : i] == values[k : k + 2]
+        if i > 1 and values[i - 2 : i] == values[k : k + 2] and (k - i == 1 or k - i >= _BURST)
     )
 
 
@@ -181,6 +186,7 @@ class FlightPhase:
         self._fitted = fitted
         self._beats = Said()
         self._landings = Said()
+        self._armed_ns = -LATEST_NS  # when it armed for the first time
         # the last message that reported another vehicle in flight, and its time
         self._other: tuple[str, int] = ("", -LATEST_NS)
         self._apart_ns: int | None = None  # since when it is disarmed and in the air by its reports
@@ -292,7 +298,10 @@ class FlightPhase:
             said = message.fields
             mode = said.get("base_mode")
             armed = bool(mode & ARMED) if isinstance(mode, int) else None
-            if not self.logged:
+            if armed and self._armed is False and not self._has_been[0]:
+                self._armed_ns = now_ns
+            # The slower of two radios repeats that it is disarmed.
+            if not self.logged and not 0 <= now_ns - self._armed_ns < _HELD_NS:
                 self._beats = self._beats.after(now_ns, (armed, said.get("type"), said.get("autopilot")))
         self._identify(message)
         if message.source is not MAVLINK:
