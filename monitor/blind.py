@@ -109,6 +109,7 @@ class EvidenceFlow:
         self._rows_ns = 0
         self._overdue: list[bool] = [False]
         self._lost: tuple[str, ...] = ()
+        self.altered = False  # whether its commands, or their effects, are known to be altered: it shows nothing then
         self._seconds: deque[tuple[int, int]] = deque()
 
     def wait_from(self, now_ns: int) -> None:
@@ -143,7 +144,7 @@ class EvidenceFlow:
                 # Before the first evidence, settling begins anew, but not for ever.
                 gone_ns = 0 if group.evidence_ns else min(restart_ns - group.since_ns, self.limit_ns + self.settle_ns)
                 group.granted_ns = max(group.granted_ns, gone_ns + again_ns)
-        if not cames.size:
+        if not cames.size or self.altered:
             return
         count = cames.size if came is armed else int(np.count_nonzero(armed))
         second = int(samples.vehicle_time_ns[-1]) // SECOND_NS
@@ -198,6 +199,8 @@ class EvidenceFlow:
     def reason(self, now_ns: int, vehicle_contested: bool) -> tuple[str, str]:
         """Return why the observer has no evidence, in people's words and as the status's word."""
         missing = [name for name, came_ns in self.messages.items() if now_ns - came_ns >= self.missing_ns]
+        if self.altered:
+            return "altered commands or rates", "contradicted"
         if vehicle_contested:
             return "contradictory telemetry", "contradicted"
         if missing:

@@ -353,6 +353,8 @@ class ObserverChain:
             if ends and channel in self._actuators:
                 alarm.state.forget_recurrences()
             excused = doubt is not None and (doubt.whole or channel not in self._actuators)
+            if said := alarm.doubt(doubt is not None and not excused, time_ns, vehicle_ns):
+                events.append(said)
             if not self._excuses.distrust(channel, alarm.state, doubt.affect if doubt and excused else None):
                 continue
             changed = True

@@ -498,6 +498,9 @@ class Pipeline:
         events = self._link.contradict(self.contradictions, now_ns, "critical" if certain else "warning")
         again = {name for (name, what), until_ns in found if what == "before" and now_ns < until_ns}
         self._untrue = self._forged, again, self._blind.frozen
+        altered = {name for (name, what), until_ns in found if what == "response" and now_ns < until_ns}
+        for flow in self._blind.flows:
+            flow.altered = any(channel.message in altered for channel in flow.chain.source.inputs)
         for chain in self._chains if self._untrue != before else ():
             events += chain.distrust(self._doubt(chain, again, now_ns), now_ns, self._clock.newest_ns)
         return events

@@ -144,6 +144,12 @@ def test_commands_and_rates_that_do_not_belong_together_are_an_impostors(
     impostor = next(event for event in events if event.channel == "impostor")
     assert "commands that the rates do not follow" in impostor.message
     assert since_s(calm_flight, impostor) < 5.0
+    # The motors are not watched meanwhile, and what they are accused of is said to be doubtful.
+    blind = next(event for event in events if event.channel == "blind")
+    assert "motors: altered commands or rates" in blind.message
+    assert since_s(calm_flight, blind) < 10.5
+    accused = [event for event in events if event.channel.startswith("motor") and event.time_ns > impostor.time_ns]
+    assert all("or a second sender makes it look so" in event.message for event in accused)
 
 
 @pytest.mark.parametrize("replaced", [True, False])

@@ -140,6 +140,7 @@ LATELY_NS = 10_000_000_000
 """An alarm that was raised at most this long before another one may be its consequence. Chosen: evidence of a second
 sender is counted over the same time."""
 _AFFECTED = "; affected: "
+_DOUBTED = "; or a second sender makes it look so"
 _STATES: Mapping[int, State] = {RAISED: "raised", UPDATED: "updated", CLEARED: "cleared"}
 
 
@@ -230,6 +231,7 @@ class Alarm:
         self.since_ns = 0
         self._last: AlarmEvent | None = None
         self._affected: list[str] = []
+        self._doubted = False  # whether a second sender's telemetry may look like its fault
 
     def set_rule(self, rule: AlarmRule) -> None:
         """Apply other sizes and times from the next row on."""
@@ -296,7 +298,7 @@ class Alarm:
         if now.recurring and code != CLEARED:
             message = f"{message} (it comes and goes)"
         if code != CLEARED:
-            message = with_affected(message, self._affected)
+            message = with_affected(message + _DOUBTED * self._doubted, self._affected)
         return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative, sd, instead)
 
     def affect(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
@@ -305,7 +307,18 @@ class Alarm:
         if not self.state.active or last is None or channel in self._affected:
             return None
         self._affected.append(channel)
-        message = with_affected(last.message, self._affected)
+        return self._say(last, with_affected(last.message, self._affected), time_ns, vehicle_ns)
+
+    def doubt(self, doubted: bool, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
+        """Follow whether a second sender's telemetry may look like the fault; return the event that says so."""
+        begins, self._doubted, last = doubted and not self._doubted, doubted, self._last
+        if not begins or not self.state.active or last is None:
+            return None
+        own = with_affected(last.message, []) + _DOUBTED
+        return self._say(last, with_affected(own, self._affected), time_ns, vehicle_ns)
+
+    def _say(self, last: AlarmEvent, message: str, time_ns: int, vehicle_ns: int) -> AlarmEvent:
+        """Return the event of an active alarm that changes the message of its last one alone."""
         vehicle_ms = vehicle_ns // 1_000_000
         self._last = replace(last, state="updated", message=message, time_ns=time_ns, vehicle_time_ms=vehicle_ms)
         return self._last
