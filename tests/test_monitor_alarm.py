@@ -217,21 +217,36 @@ def test_a_large_fault_that_was_seen_and_ended_is_forgotten_by_the_mean() -> Non
     assert [event.state for event in events if event.state != "updated"] == ["raised", "cleared"]
 
 
-def test_what_lasts_counts_per_the_scale_of_its_sizes_and_is_shown_as_it_is() -> None:
-    alarm, count = new_alarm(LASTING), 500
-    # twice the scale at the end: what was asked for all along is shown, not what is now
-    scale = np.where(np.arange(count) < 400, 5.0, 10.0)[:, None]
-    evidence, nothing = -0.006 * scale, np.zeros((count, 0))
-    times_ns, always = np.arange(count) * STEP_NS, np.ones(count, np.bool_)
+def raised_at_scale(rule: AlarmRule, evidence: NDArray[np.float64], scale: NDArray[np.float64]) -> AlarmEvent:
+    """Return the only event that evidence causes whose sizes have to be ``scale`` times as large."""
+    alarm, count = new_alarm(rule), len(evidence)
+    times_ns, always, nothing = np.arange(count) * STEP_NS, np.ones(count, np.bool_), np.zeros((count, 0))
     samples = Samples(
         np.arange(count), times_ns, times_ns, nothing, nothing, ~always, always, times_ns, always, nothing > 0
     )
     events: list[AlarmEvent] = []
-    rows = ChainRows([alarm.state], np.arange(count), times_ns, ~always, evidence, always[:, None], scale)
+    rows = ChainRows(
+        [alarm.state], np.arange(count), times_ns, ~always, evidence[:, None], always[:, None], scale[:, None]
+    )
     walk([rows], lambda _observer, row, _alarm, code: events.append(alarm.event(code, samples, row, 0.5)))
     (raised,) = events
+    return raised
+
+
+def test_what_lasts_counts_per_the_scale_of_its_sizes_and_is_shown_as_it_is() -> None:
+    # twice the scale at the end: what was asked for all along is shown, not what is now
+    scale = np.where(np.arange(500) < 400, 5.0, 10.0)
+    raised = raised_at_scale(LASTING, -0.006 * scale, scale)
     assert raised.estimate == pytest.approx(-0.03, rel=0.01)
     assert (raised.threshold, raised.creeping) == (pytest.approx(0.025, rel=0.01), True)
+
+
+def test_what_the_slow_mean_raises_is_shown_with_its_whole_size() -> None:
+    rule = replace(RULE, slow=0.005, slow_s=1.0, threshold=0.06, clear=0.03)
+    # five times twice ``slow``, with which evidence enters the mean that decides
+    raised = raised_at_scale(rule, np.full(80, -0.25), np.full(80, 5.0))
+    assert raised.estimate == pytest.approx(-0.25 * (1.0 - 0.5), rel=0.02)
+    assert (raised.threshold, raised.creeping) == (pytest.approx(0.025), True)
 
 
 def test_an_alarm_that_comes_and_goes_is_latched_until_it_was_quiet_for_long() -> None:

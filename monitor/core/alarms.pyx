@@ -130,9 +130,9 @@ cdef class AlarmState:
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
     cdef bint contiguous, fails_towards_less, explained
     cdef int64_t explained_ns, explained_last_ns
-    # The weighted mean of the slow path; the mean of all evidence of the lasting path, the same not divided by the
-    # scale, and the time these two cover.
-    cdef double mean, whole, whole_size, whole_ns
+    # The weighted mean of the slow path, the same neither limited nor divided by the scale; the mean of all evidence of
+    # the lasting path, the same not divided by the scale, and the time these two cover.
+    cdef double mean, mean_size, whole, whole_size, whole_ns
     cdef bint lasts
     cdef Trend trend
     cdef int64_t raised_ns[3]
@@ -177,7 +177,8 @@ cdef class AlarmState:
         self.forget()
         if creeping:
             # The event does not say which of the two means raised the alarm: set both.
-            self.mean, self.whole, self.whole_size = estimate, limited(estimate, self.threshold), estimate
+            self.mean, self.whole = limited(estimate, 2.0 * self.slow), limited(estimate, self.threshold)
+            self.mean_size = self.whole_size = estimate
             self.lasts, self.whole_ns = self.lasting < INFINITY, self.lasting_ns
         self.active, self.critical, self.creeping, self.recurring = True, critical, creeping, recurring
         self.shown = self.reported = estimate
@@ -198,7 +199,7 @@ cdef class AlarmState:
 
     cdef void forget(self) noexcept:
         """Forget the means."""
-        self.mean = self.whole = self.whole_size = self.whole_ns = 0.0
+        self.mean = self.mean_size = self.whole = self.whole_size = self.whole_ns = 0.0
 
     cdef bint excused(self, int64_t now) noexcept:
         cdef Py_ssize_t i
@@ -291,6 +292,7 @@ cdef class AlarmState:
         if elapsed and self.slow < INFINITY:
             keep = exp(-elapsed / self.slow_ns)
             self.mean = keep * self.mean + (1.0 - keep) * limited(evidence, 2.0 * self.slow)
+            self.mean_size = keep * self.mean_size + (1.0 - keep) * evidence * scale
         if elapsed and self.lasting < INFINITY:
             self.whole_ns = min(self.whole_ns + elapsed, FLIGHT_NS)
             keep, entered = 1.0 - min(1.0, elapsed / self.whole_ns), limited(evidence, self.threshold)
@@ -307,7 +309,7 @@ cdef class AlarmState:
         if size >= self.threshold and self.counter_ns >= self.raise_ns:
             return self.raise_alarm(now, evidence, scale * self.threshold, False)
         if fabs(self.mean) >= self.slow:
-            return self.raise_alarm(now, self.mean, self.slow, True)
+            return self.raise_alarm(now, self.mean_size, scale * self.slow, True)
         if self.whole_ns >= self.lasting_ns and fabs(self.whole) >= self.lasting and self.whole != 0.0:
             self.raise_alarm(now, self.whole_size, self.whole_size / self.whole * self.lasting, True)
             self.lasts = True
@@ -340,7 +342,7 @@ cdef class AlarmState:
         self.creeping = self.creeping and fabs(evidence) < (scale if self.lasts else 1.0) * self.threshold
         shown = evidence
         if self.creeping:
-            shown = self.whole_size if self.lasts else self.mean
+            shown = self.whole_size if self.lasts else self.mean_size
         self.shown = shown
         self.trend.update(shown, elapsed)
         ahead = self.trend.size_in(self.ahead_s) if self.ahead_s > 0 else 0.0
