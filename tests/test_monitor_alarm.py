@@ -242,7 +242,7 @@ def test_what_lasts_counts_per_the_scale_of_its_sizes_and_is_shown_as_it_is() ->
 
 
 def test_what_the_slow_mean_raises_is_shown_with_its_whole_size() -> None:
-    rule = replace(RULE, slow=0.005, slow_s=1.0, threshold=0.06, clear=0.03)
+    rule = replace(RULE, slow=0.005, slow_s=1.0, threshold=0.06, clear=0.03, critical=1.0)
     # five times twice ``slow``, with which evidence enters the mean that decides
     raised = raised_at_scale(rule, np.full(80, -0.25), np.full(80, 5.0))
     assert raised.estimate == pytest.approx(-0.25 * (1.0 - 0.5), rel=0.02)
