@@ -140,6 +140,17 @@ def test_what_has_waited_for_a_second_is_dropped_but_for_signs_of_life() -> None
     assert inbox.statistics().dropped == 1500 - len(taken)
 
 
+def test_of_what_finds_no_room_signs_of_life_are_kept() -> None:
+    inbox = Inbox(100, oldest_s=1.0)
+    now_ns = time.time_ns()
+    for hundredth in range(500, 0, -1):
+        inbox.put(attitudes(1, 3, now_ns - hundredth * 10_000_000))
+    taken = [one.received_ns for _, one in each(inbox.take(0.0))]
+    assert max(b - a for a, b in itertools.pairwise([now_ns - 5_000_000_000, *taken])) < 700_000_000
+    assert len(taken) < 115
+    assert inbox.statistics().dropped == 1500 - len(taken)
+
+
 def test_where_rounds_take_longer_than_a_second_less_of_each_is_kept_until_they_do_not() -> None:
     inbox = Inbox(100_000, oldest_s=1.0)
 

@@ -66,8 +66,12 @@ no longer. Chosen: half of what an operator may be told late."""
 _LEAST_KEPT_S = 0.05
 """Time of a round of which a sender's messages are always kept. Chosen: two and a half batches of 20 ms."""
 _SIGN_OF_LIFE_S = 0.5
-"""Of the messages that are dropped for their age, one is kept this often, so that telemetry that had to wait is not
-taken for silence, which begins at ``stale_s``, a second at least."""
+"""Of a sender's messages that are dropped, one is kept this often, so that telemetry that flows is not taken for
+silence, which begins at ``stale_s``, a second at least."""
+_MOST_SIGNS = 16
+"""Most of these that wait for a sender's turn: those of 8 s."""
+_LARGE_BYTES = 1 << 18
+"""Memory of a large batch: 256 kB, some 2,000 messages of MAVLink."""
 _MOST_BYTES = 1 << 26
 """Memory of all waiting messages: 64 MB, ten times what 20,000 messages of MAVLink take."""
 _TURN_BYTES = 1 << 22
@@ -95,6 +99,7 @@ class _Queue:
         self.count = 0
         self.size = 0
         self.shown_s = 0.0
+        self.signs: deque[Arrival] = deque(maxlen=_MOST_SIGNS)
         self.kept_s = OLDEST_S
         self.waited_s = _LEAST_KEPT_S
 
@@ -184,7 +189,10 @@ class Inbox:
             if key is None:
                 return []
             queue = self._queues[key] = self._queues.pop(key)
-            taken = [] if self._oldest_s is None else self._shed(queue, self._oldest_s)
+            if self._oldest_s is not None:
+                self._shed(queue, self._oldest_s)
+            taken = [*queue.signs]
+            queue.signs.clear()
             count = size = 0
             while queue.entries and count < _TURN and size < _TURN_BYTES:
                 entry = self._next(queue)
@@ -205,7 +213,7 @@ class Inbox:
         """Drop the oldest batch of a queue, or ``excess`` of its messages."""
         entry = self._next(queue)
         batch = entry.arrival.batch
-        self._dropped += min(excess, batch.count)
+        self._forget(queue, entry, min(excess, batch.count))
         if excess < batch.count:
             rest = cut(batch, excess, batch.count)
             kept = _Waiting(entry.since_s, entry.size, entry.arrival._replace(batch=rest))
@@ -215,8 +223,20 @@ class Inbox:
             self._waiting += rest.count
             self._size += kept.size
 
-    def _shed(self, queue: _Queue, oldest_s: float) -> list[Arrival]:
-        """Drop messages that are too old; return those that are kept as signs of life.
+    def _forget(self, queue: _Queue, entry: _Waiting, count: int) -> None:
+        """Count the first messages of a batch as dropped; keep one where a sign of life is due.
+
+        None of a large batch: it would keep the memory of the whole.
+        """
+        self._dropped += count
+        is_due = self._oldest_s is not None and entry.since_s - queue.shown_s >= _SIGN_OF_LIFE_S
+        if is_due and entry.size <= _LARGE_BYTES:
+            queue.shown_s = entry.since_s
+            queue.signs.append(entry.arrival._replace(batch=cut(entry.arrival.batch, 0, 1)))
+            self._dropped -= 1
+
+    def _shed(self, queue: _Queue, oldest_s: float) -> None:
+        """Drop messages that are too old.
 
         All waiting messages arrived since the sender's previous turn. If two turns in a row were longer ago than
         ``oldest_s``, less of each sender is kept, so that the next round takes at most ``oldest_s``.
@@ -225,15 +245,9 @@ class Inbox:
         before_s, queue.waited_s = queue.waited_s, max(now_s - queue.entries[0].since_s, _LEAST_KEPT_S)
         queue.kept_s *= oldest_s / min(before_s, queue.waited_s)
         queue.kept_s = min(max(queue.kept_s, _LEAST_KEPT_S), oldest_s)
-        kept = []
         while queue.entries and now_s - queue.entries[0].since_s > queue.kept_s:
             entry = self._next(queue)
-            self._dropped += entry.arrival.batch.count
-            if entry.since_s - queue.shown_s >= _SIGN_OF_LIFE_S:
-                queue.shown_s = entry.since_s
-                kept.append(entry.arrival._replace(batch=cut(entry.arrival.batch, 0, 1)))
-                self._dropped -= 1
-        return kept
+            self._forget(queue, entry, entry.arrival.batch.count)
 
     @property
     def empty(self) -> bool:
