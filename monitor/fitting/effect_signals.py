@@ -10,7 +10,7 @@ from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from monitor.fitting.output_functions import CONTROLS_MESSAGE, NO_OUTPUT, Actuator, MixedOutputs, actuator_channels
-from monitor.fitting.survey import IMUS, MOTOR_MESSAGE, Survey, in_every
+from monitor.fitting.survey import IMUS, MOTOR_MESSAGE, Survey, required
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.slow_telemetry import LOG_FASTER
 
@@ -61,12 +61,9 @@ def effect_signals(
     TelemetryError
         A message that is needed is missing or comes too seldom; the text says which to record.
     """
-    if in_every(surveys, [_ATTITUDE]) is None:
-        raise TelemetryError(f"no attitude; record {_ATTITUDE} at 50 Hz or more")
+    required(surveys, [_ATTITUDE], "attitude")
     commands, mixed = actuator_channels(surveys, actuators, mixes)
-    imu = in_every(surveys, IMUS)
-    if imu is None:
-        raise TelemetryError(f"no accelerations in every log; record one of {', '.join(IMUS)} at 50 Hz or more")
+    imu = required(surveys, IMUS, "accelerations")
     known = {
         **{name: Channel(name, _ATTITUDE, (field,), period=tau) for name, field in _ANGLES.items()},
         **{name: Channel(name, _ATTITUDE, (field,)) for name, field in _RATES.items()},

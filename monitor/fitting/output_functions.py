@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
-from monitor.fitting.survey import MAX_OUTPUTS, MOTOR_MESSAGE, Survey, in_every
+from monitor.fitting.survey import MAX_OUTPUTS, MOTOR_MESSAGE, Survey, required
 from monitor.sampling.scaled import Mix
 
 MOTOR, SERVO = 101, 201
@@ -113,8 +113,7 @@ def actuator_channels(
 def _output_channels(
     surveys: Sequence[Survey], actuators: Sequence[Actuator], mixes: Sequence[MixedOutputs]
 ) -> tuple[dict[str, Channel], dict[str, float]]:
-    if in_every(surveys, [MOTOR_MESSAGE]) is None:
-        raise TelemetryError(f"no servo outputs; record {MOTOR_MESSAGE} at 50 Hz or more")
+    required(surveys, [MOTOR_MESSAGE], "servo outputs")
     completed = [_completed(survey) for survey in surveys]
     survey = next((found for found in completed if found.px4 and "CA_AIRFRAME" in found.parameters), completed[0])
     # A log of the outputs themselves also has unused ones, at the pulse of a disarmed output.

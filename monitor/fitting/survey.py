@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut, gathered, one_message
 from adapters.channels import ANY_CLOCK, CLOCK_UNITS_NS, STANDARD_GRAVITY, Channel
+from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
 from adapters.mavlink.heartbeat import ARMED, NO_AUTOPILOT, PX4, vehicle_type
 from adapters.message import LATEST_NS, Message
@@ -375,6 +376,14 @@ def in_every(surveys: Sequence[Survey], messages: Iterable[str]) -> str | None:
     return next((name for name in messages if least_hz(surveys, name) > 0.0), None)
 
 
+def required(surveys: Sequence[Survey], messages: Collection[str], holds: str, rate: str = "50 Hz") -> str:
+    """Return the first of some messages that every recording has; raise TelemetryError, which says what to record."""
+    if (found := in_every(surveys, messages)) is None:
+        where, which = (" in every log", "one of ") if len(messages) > 1 else ("", "")
+        raise TelemetryError(f"no {holds}{where}; record {which}{', '.join(messages)} at {rate} or more")
+    return found
+
+
 def least_hz(surveys: Sequence[Survey], message: str) -> float:
     """Return the lowest rate of a message over the recordings; 0 if one recording has none of it."""
     return min(found.rate_hz.get(message, 0.0) for found in surveys)
@@ -383,7 +392,7 @@ def least_hz(surveys: Sequence[Survey], message: str) -> float:
 def fitted_rates(surveys: Sequence[Survey], channels: Sequence[Channel]) -> dict[str, float]:
     """Return, for the messages of channels, the lowest rate of each over the recordings."""
     names = sorted({channel.message for channel in channels})
-    return {name: float(f"{min(found.rate_hz[name] for found in surveys):.3g}") for name in names}
+    return {name: float(f"{least_hz(surveys, name):.3g}") for name in names}
 
 
 def common_rate_hz(surveys: Sequence[Survey], channels: Sequence[Channel]) -> float:

@@ -22,6 +22,7 @@ from monitor.fitting.survey import (
     common_rate_hz,
     in_every,
     least_hz,
+    required,
 )
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.supply import BATTERY_MESSAGE, CELLS_MESSAGE
@@ -107,11 +108,8 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
     TelemetryError
         A message that is needed is missing; the text says which to stream.
     """
-    rates, vertical = in_every(surveys, _RATES), in_every(surveys, IMUS)
-    if rates is None:
-        raise TelemetryError(f"no body rates in every log; record one of {', '.join(_RATES)} at 50 Hz+")
-    if in_every(surveys, [MOTOR_MESSAGE]) is None:
-        raise TelemetryError(f"no motor commands; record {MOTOR_MESSAGE} at 50 Hz or more")
+    rates, vertical = required(surveys, _RATES, "body rates"), in_every(surveys, IMUS)
+    required(surveys, [MOTOR_MESSAGE], "motor commands")
     commands = motor_commands(surveys)
     span = commands.full - commands.stop
     scale, offset = (0.001, -1.0) if commands.pulses else (1.0 / span, -commands.stop / span)

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from adapters.channels import Channel
-from adapters.errors import TelemetryError
 from monitor.fitting.effect_signals import EFFECT_MESSAGES, EffectSignals, effect_signals
 from monitor.fitting.output_functions import DIFFERENTIAL, MOTOR, SERVO, Actuator, MixedOutputs
-from monitor.fitting.survey import Survey, in_every
+from monitor.fitting.survey import Survey, required
 from monitor.vehicles.base import Preview
 from monitor.vehicles.rover.transform import DriveInputs
 
@@ -39,9 +38,7 @@ def rover_signals(surveys: Sequence[Survey]) -> EffectSignals:
         A required message is missing or comes too seldom, or the outputs are not those of a rover; the text gives the
         reason.
     """
-    message = in_every(surveys, _VELOCITIES)
-    if message is None:
-        raise TelemetryError(f"no velocity in every log; record one of {', '.join(_VELOCITIES)} at 10 Hz+")
+    message = required(surveys, _VELOCITIES, "velocity", "10 Hz")
     velocities = {
         name: Channel(name, message, (field,), scale=_VELOCITIES[message])
         for name, field in (("velocity_north", "vx"), ("velocity_east", "vy"))
