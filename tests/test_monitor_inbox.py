@@ -144,11 +144,16 @@ def test_of_what_finds_no_room_signs_of_life_are_kept() -> None:
     inbox = Inbox(100, oldest_s=1.0)
     now_ns = time.time_ns()
     for hundredth in range(500, 0, -1):
-        inbox.put(attitudes(1, 3, now_ns - hundredth * 10_000_000))
-    taken = [one.received_ns for _, one in each(inbox.take(0.0))]
-    assert max(b - a for a, b in itertools.pairwise([now_ns - 5_000_000_000, *taken])) < 700_000_000
-    assert len(taken) < 115
-    assert inbox.statistics().dropped == 1500 - len(taken)
+        at_ns = now_ns - hundredth * 10_000_000
+        inbox.put(attitudes(1, 3, at_ns))
+        if hundredth % 100 == 70:
+            inbox.put(pack([Message(MAVLINK, "HEARTBEAT", at_ns, {"type": 2}, 1, 1)]))
+    taken = [one for _, one in each(inbox.take(0.0))]
+    times = [now_ns - 5_000_000_000, *(one.received_ns for one in taken)]
+    assert max(b - a for a, b in itertools.pairwise(times)) < 700_000_000
+    assert [one.name for one in taken].count("HEARTBEAT") == 5
+    assert len(taken) < 120
+    assert inbox.statistics().dropped == 1505 - len(taken)
 
 
 def test_where_rounds_take_longer_than_a_second_less_of_each_is_kept_until_they_do_not() -> None:

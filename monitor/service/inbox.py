@@ -66,10 +66,10 @@ no longer. Chosen: half of what an operator may be told late."""
 _LEAST_KEPT_S = 0.05
 """Time of a round of which a sender's messages are always kept. Chosen: two and a half batches of 20 ms."""
 _SIGN_OF_LIFE_S = 0.5
-"""Of a sender's messages that are dropped, one is kept this often, so that telemetry that flows is not taken for
-silence, which begins at ``stale_s``, a second at least."""
+"""Of messages that are dropped, one of each sender is kept this often, and a heartbeat, so that what flows is not
+taken for silence, which begins at ``stale_s``, a second at least."""
 _MOST_SIGNS = 16
-"""Most of these that wait for a sender's turn: those of 8 s."""
+"""Most of these that wait for a sender's turn: those of 5 s, with a heartbeat a second."""
 _LARGE_BYTES = 1 << 18
 """Memory of a large batch: 256 kB, some 2,000 messages of MAVLink."""
 _MOST_BYTES = 1 << 26
@@ -98,7 +98,7 @@ class _Queue:
         self.entries: deque[_Waiting] = deque()
         self.count = 0
         self.size = 0
-        self.shown_s = 0.0
+        self.shown_s = self.beat_s = 0.0
         self.signs: deque[Arrival] = deque(maxlen=_MOST_SIGNS)
         self.kept_s = OLDEST_S
         self.waited_s = _LEAST_KEPT_S
@@ -224,16 +224,24 @@ class Inbox:
             self._size += kept.size
 
     def _forget(self, queue: _Queue, entry: _Waiting, count: int) -> None:
-        """Count the first messages of a batch as dropped; keep one where a sign of life is due.
+        """Count the first messages of a batch as dropped; keep one, and a heartbeat, where signs of life are due.
 
         None of a large batch: it would keep the memory of the whole.
         """
         self._dropped += count
-        is_due = self._oldest_s is not None and entry.since_s - queue.shown_s >= _SIGN_OF_LIFE_S
-        if is_due and entry.size <= _LARGE_BYTES:
-            queue.shown_s = entry.since_s
-            queue.signs.append(entry.arrival._replace(batch=cut(entry.arrival.batch, 0, 1)))
-            self._dropped -= 1
+        if self._oldest_s is None or entry.size > _LARGE_BYTES:
+            return
+        batch, since_s = entry.arrival.batch, entry.since_s
+        beat = next((int(one.position[0]) for one in batch.columns if one.name == "HEARTBEAT"), count)
+        due = set()
+        if since_s - queue.shown_s >= _SIGN_OF_LIFE_S:
+            queue.shown_s = since_s
+            due.add(0)
+        if beat < count and since_s - queue.beat_s >= _SIGN_OF_LIFE_S:
+            queue.beat_s = since_s
+            due.add(beat)
+        self._dropped -= len(due)
+        queue.signs.extend(entry.arrival._replace(batch=cut(batch, at, at + 1)) for at in sorted(due))
 
     def _shed(self, queue: _Queue, oldest_s: float) -> None:
         """Drop messages that are too old.
