@@ -10,7 +10,7 @@ have no evidence.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -180,8 +180,7 @@ class EffectivenessStage:
         return np.asarray(np.fmax(inputs, outputs * outputs), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True)
-class ChainRun:
+class ChainRun(NamedTuple):
     """Estimates of one observer over n samples, and the evidence of its A alarms in them."""
 
     estimates: Estimates

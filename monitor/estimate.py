@@ -28,7 +28,7 @@ class Layout:
     smoothing_s: float = 0.0  # time constant of estimates, and of the commands that they are shares of
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # not frozen, as Samples
 class Estimates:
     """Estimates at n consecutive samples of one observer as arrays, a row for each sample."""
 

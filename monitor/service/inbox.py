@@ -6,12 +6,14 @@ that cannot keep up never processes messages older than a second: showing the pa
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
 from collections import deque
 from dataclasses import dataclass
 from functools import partial
+from queue import Empty, SimpleQueue
 from typing import NamedTuple, Protocol
 
 from adapters.batch import Batch, Columns, chosen, cut, memory_bytes, sender_of
@@ -128,9 +130,9 @@ class Inbox:
         self._size = 0
         self._oldest_s = oldest_s
         self.limit = limit
-        lock = threading.Lock()
-        self._changed = threading.Condition(lock)
-        self._emptied = threading.Condition(lock)
+        # Holds something while messages may wait: a queue wakes the loop at less cost than a condition.
+        self._signal: SimpleQueue[None] = SimpleQueue()
+        self._emptied = threading.Condition(threading.Lock())
         self._closed = False
         self._threads: list[threading.Thread] = []
         self._answered: dict[str, float] = {}
@@ -159,7 +161,7 @@ class Inbox:
             return
         now_s = time.monotonic()
         parts = [(key, part, memory_bytes(part), now_s - _waited_s(part)) for key, part in _by_sender(batch)]
-        with self._changed:
+        with self._emptied:
             for key, part, size, since_s in parts:
                 self._arrived += part.count
                 queue = self._queues.get((vehicle, key))
@@ -174,7 +176,8 @@ class Inbox:
                 self._drop(max(self._queues.values(), key=lambda queue: queue.count), excess)
             while self._size > _MOST_BYTES:
                 self._drop(max(self._queues.values(), key=lambda queue: queue.size), self.limit)
-            self._changed.notify()
+            if self._signal.empty():
+                self._signal.put(None)
 
     def take(self, timeout_s: float) -> list[Arrival]:
         """Return the waiting messages of the sender whose turn it is, in order.
@@ -182,9 +185,9 @@ class Inbox:
         Wait at most ``timeout_s`` for any. Return about 1024 messages at most; the rest waits until all others have had
         their turn.
         """
-        with self._changed:
-            if not self._waiting:
-                self._changed.wait(timeout_s)
+        with contextlib.suppress(Empty):
+            self._signal.get(timeout=timeout_s)
+        with self._emptied:
             key = next((key for key, queue in self._queues.items() if queue.entries), None)
             if key is None:
                 return []
@@ -199,7 +202,9 @@ class Inbox:
                 taken.append(entry.arrival)
                 count += entry.arrival.batch.count
                 size += entry.size
-            if not self._waiting:
+            if self._waiting:
+                self._signal.put(None)
+            else:
                 self._emptied.notify_all()
             return taken
 
