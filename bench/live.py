@@ -32,6 +32,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "tools"))
+
 from packet_edit import packet_fields, with_fields
 from soak import PROFILE, ROOT, Setup, set_up, show, soak
 
