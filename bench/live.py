@@ -13,8 +13,8 @@ sixteen vehicles
     The same flight under sixteen system ids, the daemon bound to one core: all samples have to be there.
 four vehicles
     The flight with a fault of its own in each, recorded: from the sending of the packet that causes an alarm event to
-    its arrival at a Zenoh client. The faults come and go, so that 40 s have some sixty events: a 99th percentile of
-    the nine that the same time of flights with one fault each has would be the largest of nine.
+    its arrival at a Zenoh client. The faults come and go, so that 40 s have some forty events; flights with one
+    fault each have nine in that time.
 
 Exit status 1 where a limit is broken. On a machine that does other work too the processor times grow by what the
 caches lose; the lost samples and latencies then say little.
