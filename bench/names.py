@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from accounting import AFTERMATH_S, Spell, spells
 from flights import Flight
+from numpy.typing import NDArray
 from rates import HOVER, recordings
 
 from adapters.batch import messages as messages_of
@@ -199,6 +200,28 @@ def try_case(case: Case, group: str, one: Flight, profile: Profile, healthy: Hea
     first_ns = (one.takeoff_ms or 0) * 1_000_000
     start_ns, end_ns = (first_ns + round(seconds * 1e9) for seconds in (LEAD_S, LEAD_S + FAULT_S))
     stop_ns = min(end_ns + round(TAIL_S * 1e9), (one.touchdown_ms or 1 << 43) * 1_000_000)
+    try:
+        pipeline, outputs = play_fault(case, profile, healthy, start_ns, end_ns, stop_ns)
+    except UsageError as error:
+        return Outcome(group, one.name, case.name, refused=str(error))
+    events = [output for output in outputs if isinstance(output, AlarmEvent)]
+    off = sizes_off(case, profile, [o for o in outputs if isinstance(o, Estimates)], start_ns, end_ns)
+    said = [found.text for found in pipeline.conditions if found.name in case.channels]
+    judged = _judged(case, group, one, events, start_ns // 1_000_000, end_ns // 1_000_000)
+    covered = float((np.abs(off) <= 2.0).mean()) if len(off) else None
+    return replace(judged, covered=covered, said=said[0] if said else "")
+
+
+def play_fault(
+    case: Case, profile: Profile, healthy: Healthy, start_ns: int, end_ns: int, stop_ns: int
+) -> tuple[Pipeline, list[AlarmEvent | Estimates]]:
+    """Play a healthy recording with a case's fault in it, and return what came out.
+
+    Raises
+    ------
+    UsageError
+        The recording does not hold what the fault alters.
+    """
     window = healthy.window(0, start_ns, stop_ns)
     clocks = profile_clocks(profile)
     pipeline = Pipeline(profile)
@@ -206,35 +229,29 @@ def try_case(case: Case, group: str, one: Flight, profile: Profile, healthy: Hea
     tail: list[Message] = list(window.tail)
     attacks = case.attacks(profile, window.names)
     injectors = []
-    try:
-        for attack in attacks:
-            source_ns = attack.source_ns and start_ns + attack.source_ns * 1_000_000_000
-            timed = replace(attack, start_ns=start_ns, end_ns=end_ns, source_ns=source_ns)
-            if timed.channel in INSTRUMENTS and not any(q.message in window.names for q in INSTRUMENTS[timed.channel]):
-                continue
-            made = plan(timed, window.names, profile)
-            if made.messages & window.names:
-                injectors.append(Injector(timed, made, healthy.system, clocks))
-    except UsageError as error:
-        return Outcome(group, one.name, case.name, refused=str(error))
+    for attack in attacks:
+        source_ns = attack.source_ns and start_ns + attack.source_ns * 1_000_000_000
+        timed = replace(attack, start_ns=start_ns, end_ns=end_ns, source_ns=source_ns)
+        if timed.channel in INSTRUMENTS and not any(q.message in window.names for q in INSTRUMENTS[timed.channel]):
+            continue
+        made = plan(timed, window.names, profile)
+        if made.messages & window.names:
+            injectors.append(Injector(timed, made, healthy.system, clocks))
     past = list(window.newest() if all(attack.kind in WITHOUT_PAST for attack in attacks) else messages_of(window.lead))
     for injector in injectors:
         for message in past:
             injector.feed(message)
         tail = list(inject(tail, injector))
     if not sum(injector.altered for injector in injectors):
-        return Outcome(group, one.name, case.name, refused="the recording does not hold it")
-    outputs += pipeline.run(pack(tail))
-    events = [output for output in outputs if isinstance(output, AlarmEvent)]
-    covered = _covered(case, profile, [o for o in outputs if isinstance(o, Estimates)], start_ns, end_ns)
-    said = [found.text for found in pipeline.conditions if found.name in case.channels]
-    judged = _judged(case, group, one, events, start_ns // 1_000_000, end_ns // 1_000_000)
-    return replace(judged, covered=covered, said=said[0] if said else "")
+        raise UsageError("the recording does not hold it")
+    return pipeline, [*outputs, *pipeline.run(pack(tail))]
 
 
-def _covered(case: Case, profile: Profile, runs: Sequence[Estimates], start_ns: int, end_ns: int) -> float | None:
-    """Return the share of a fault's estimates within two standard deviations of the truth, None without any."""
-    within = []
+def sizes_off(
+    case: Case, profile: Profile, runs: Sequence[Estimates], start_ns: int, end_ns: int
+) -> NDArray[np.float64]:
+    """Return by how many standard deviations a fault's sizes are off, from :data:`SETTLED_NS` after its onset on."""
+    off = [np.empty(0)]
     for run in runs:
         faults = next(observer.faults for observer in profile.observers if observer.name == run.observer)
         stamps = run.samples.vehicle_time_ns
@@ -245,9 +262,8 @@ def _covered(case: Case, profile: Profile, runs: Sequence[Estimates], start_ns: 
             truth = np.full(int(named.sum()), case.sizes[fault.name])
             if fault.input is not None:
                 truth *= run.samples.u[named, fault.input]
-            within.append(np.abs(run.isolated[named, index] - truth) <= 2.0 * run.sd[named, index])
-    found = np.concatenate(within) if within else np.empty(0)
-    return float(found.mean()) if len(found) else None
+            off.append((run.isolated[named, index] - truth) / run.sd[named, index])
+    return np.concatenate(off)
 
 
 def _judged(case: Case, group: str, one: Flight, events: Sequence[AlarmEvent], on_ms: int, off_ms: int) -> Outcome:

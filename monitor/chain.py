@@ -53,6 +53,7 @@ class CommandRun(NamedTuple):
     isolated: NDArray[np.float64]
     sd: NDArray[np.float64]
     commands: NDArray[np.float64]  # not a number for a fault that scales none
+    full: NDArray[np.float64]  # the effects of these commands, of which sizes are shares; 1 for a size that is no share
 
 
 class CommandUnits:
@@ -439,12 +440,15 @@ class ObserverChain:
                 sd[:, index] = np.where(effect.size == 0.0, sd[:, index], np.abs(effect.size) / effect.score)
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
         for index, effect in effects.items():
-            shown.isolated[:, index], shown.sd[:, index] = effect.size, sd[:, index]
+            shown.isolated[:, index], shown.sd[:, index], shown.full[:, index] = effect.size, sd[:, index], 1.0
+        size_sd = self._uncertainty.of_sizes(sd, sizes, found.level, shown.sd, shown.full)
         for name, size in given.sizes.items():
             if name in self.layout.faults:
-                isolated = shown.isolated[:, self.layout.faults.index(name)]
-                isolated[:] = np.where((size != 0.0) & (isolated != 0.0), size, isolated)
-        size_sd = self._uncertainty.of_sizes(sd, sizes, found.level, shown.sd)
+                index = self.layout.faults.index(name)
+                known = (size != 0.0) & (shown.isolated[:, index] != 0.0)
+                shown.isolated[known, index] = size[known]
+                if name in given.spread:
+                    size_sd[known, index] = given.spread[name][known]
         estimates = Estimates(
             observer=self.layout.observer,
             samples=samples,
@@ -453,7 +457,7 @@ class ObserverChain:
             isolated=shown.isolated,
             residual=found.residual,
             armed=armed,
-            sd=shown.sd,
+            sd=np.where(shown.isolated == 0.0, shown.sd, size_sd),
             coasted_s=self._since_measured.run(samples.vehicle_time_ns, samples.measured, samples.restart),
         )
         return self._with_evidence(estimates, position, found, effects, shown.commands, given, sd, size_sd)

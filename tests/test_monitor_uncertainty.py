@@ -83,9 +83,9 @@ def test_cuts_do_not_change_a_bit(
 @given(parts=cuts(60))
 def test_cuts_do_not_change_a_bit_of_what_sizes_add(gains: Gains, parts: list[slice]) -> None:
     sizes, sd, level = np.random.default_rng(2).normal(size=(60, 2)), np.full((60, 2), 0.1), np.full(60, 1.5)
-    whole, cut = uncertainty(gains).of_sizes(sd, sizes, level, sd), uncertainty(gains)
+    whole, cut = uncertainty(gains).of_sizes(sd, sizes, level, sd, np.ones_like(sd)), uncertainty(gains)
     assert (
-        np.concatenate([cut.of_sizes(sd[part], sizes[part], level[part], sd[part]) for part in parts]).tobytes()
+        np.concatenate([cut.of_sizes(sd[part], sizes[part], level[part], sd[part], np.ones_like(sd[part])) for part in parts]).tobytes()
         == whole.tobytes()
     )
 
@@ -94,5 +94,5 @@ def test_a_size_that_moves_is_behind_and_one_that_stands_is_as_wrong_as_its_mode
     seconds = np.arange(2_000) / gains.rate_hz
     sizes = np.column_stack([seconds, np.full(2_000, 20.0)])
     noise = np.full((2_000, 2), 0.001)
-    sd = uncertainty(gains).of_sizes(noise, sizes, np.ones(2_000), noise)
+    sd = uncertainty(gains).of_sizes(noise, sizes, np.ones(2_000), noise, np.ones_like(noise))
     assert sd[-1] == pytest.approx([np.hypot(LAG_S, SHARE * seconds[-1]), SHARE * 20.0], rel=0.05)

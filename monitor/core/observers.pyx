@@ -299,40 +299,52 @@ cdef class SizeErrors:
 
     Parameters
     ----------
-    rows, faults : int
-        Lag of estimates behind their faults, in rows, and number of faults.
+    rows, ahead, apart : ndarray
+        Of each fault (a,): rows over which the movement of its size is taken; what is still missing of the size for its
+        movement over these rows; and the standard deviation of the movement of a size that only noise moves, for one of
+        the size.
     share : float
         Part of the standard deviation in proportion to the size.
     """
 
     cdef double[:, ::1] before
-    cdef Py_ssize_t oldest
+    cdef double[::1] ahead, apart
+    cdef Py_ssize_t[::1] rows
+    cdef Py_ssize_t newest
     cdef double share
 
-    def __init__(self, Py_ssize_t rows, Py_ssize_t faults, double share):
-        self.before, self.share = np.zeros((rows, faults)), share
+    def __init__(self, rows, ahead, apart, double share):
+        self.rows = np.asarray(rows, np.intp)
+        self.ahead, self.apart = np.ascontiguousarray(ahead, np.float64), np.ascontiguousarray(apart, np.float64)
+        self.before, self.share = np.zeros((max(rows) + 1, len(rows))), share
 
-    def run(self, const double[:, :] sd, const double[:, :] sizes, const double[:] level, const double[:, :] shown):
+    def run(self, const double[:, :] sd, const double[:, :] sizes, const double[:] level, const double[:, :] shown,
+            const double[:, :] full):
         """Return the standard deviations of n sizes (n, a) where ``shown`` are the shown ones of their estimates.
 
         ``sd`` are those of the estimates in the unit of the sizes, in healthy flight (n, a); ``level`` is the
-        residuals' mean square relative to that of healthy flight (n,).
+        residuals' mean square relative to that of healthy flight (n,). ``full`` is what each size is a share of (n, a),
+        1 of a size that is none.
         """
-        cdef Py_ssize_t k, i, count = sizes.shape[0], faults = self.before.shape[1]
+        cdef Py_ssize_t k, i, then, length = self.before.shape[0], count = sizes.shape[0], faults = self.rows.shape[0]
         cdef double size, noise, way, part
-        if not (same_shape(sd, sizes) and same_shape(shown, sizes)) or sizes.shape[1] != faults:
-            raise ValueError(f"sd, sizes and shown are not of {faults} faults each")
+        if not (same_shape(sd, sizes) and same_shape(shown, sizes) and same_shape(full, sizes)) or (
+            sizes.shape[1] != faults
+        ):
+            raise ValueError(f"sd, sizes, shown and full are not of {faults} faults each")
         result = np.empty((count, faults))
         cdef double[:, ::1] errors = result
         for k in range(count):
+            self.newest = (self.newest + 1) % length
             for i in range(faults):
                 size = sizes[k, i]
                 noise = sd[k, i] * sqrt(level[k])
-                way = at_least(fabs(size - self.before[self.oldest, i]) - 2.0 * noise, 0.0)
-                self.before[self.oldest, i] = size
+                then = (self.newest + length - self.rows[i]) % length
+                way = fabs(size - self.before[then, i] * full[k, i])
+                way = self.ahead[i] * at_least(way - 2.0 * self.apart[i] * noise, 0.0)
+                self.before[self.newest, i] = size / full[k, i]
                 part = self.share * size
                 errors[k, i] = shown[k, i] * (sqrt(noise * noise + way * way + part * part) / sd[k, i])
-            self.oldest = (self.oldest + 1) % self.before.shape[0]
         return result
 
 
@@ -386,9 +398,10 @@ cdef class CommandScale:
 
     def run(self, const double[:, :] u, const unsigned char[:] restart, const double[:, :] fault,
             const double[:, :] evidence, const double[:, :] sd):
-        """Return fault, evidence and sd in command units, and the smoothed command that each fault scales (n, a).
+        """Return fault, evidence and sd in command units, the smoothed command that each fault scales, and its effect.
 
-        A fault that scales none has no number as its command.
+        All are (n, a). A fault that scales none has no number as its command, and the effect 1, as has one whose input
+        has been commanded to both sides.
         """
         cdef Py_ssize_t k, i, channel, count = u.shape[0], faults = self.channel.shape[0]
         cdef double keep = self.keep, size, upper, behind
@@ -396,9 +409,9 @@ cdef class CommandScale:
             raise ValueError("u, restart and fault do not fit together")
         if not (same_shape(fault, evidence) and same_shape(fault, sd)) or fault.shape[1] != faults:
             raise ValueError(f"fault, evidence and sd are not of {faults} channels each")
-        results = np.empty((4, count, faults))
+        results = np.empty((5, count, faults))
         cdef double[:, ::1] scaled_fault = results[0], scaled_evidence = results[1], scaled_sd = results[2]
-        cdef double[:, ::1] commands = results[3]
+        cdef double[:, ::1] commands = results[3], full = results[4]
         for k in range(count):
             for i in range(self.inputs.shape[0]):
                 size = u[k, self.inputs[i]]
@@ -410,9 +423,11 @@ cdef class CommandScale:
             for i in range(faults):
                 channel = self.channel[i]
                 size, upper, behind = fault[k, i], fault[k, i] + sd[k, i], 0.0
-                scaled_evidence[k, i], commands[k, i] = evidence[k, i], NAN
+                scaled_evidence[k, i], commands[k, i], full[k, i] = evidence[k, i], NAN, 1.0
                 if channel >= 0:
                     commands[k, i] = self.command[channel]
+                    if self.command[channel] != 0.0 and not self.both[channel]:
+                        full[k, i] = effect(self.curves, self.inputs[channel], self.command[channel])
                     size = self.scaled(channel, size)
                     upper = self.scaled(channel, upper)
                     scaled_evidence[k, i] = self.scaled(channel, evidence[k, i])

@@ -235,7 +235,10 @@ def error_system(gains: Gains, plant: Plant) -> ErrorSystem:
     rates = {fault.name: fault.rate for fault in plant.faults}
     start[of_q, of_q] += [(_PRIOR_S * rates[name]) ** 2 for name in gains.faults[:a1]]
     of_all = A[_MEASURED]
-    return ErrorSystem(A, Q, doubled(of_all.T, np.zeros_like(of_all), Q[_MEASURED]), start)
+    # A unit step of a fault of the plant takes 1 from its delta; sum_k -phi(k) / rate_hz of what follows is its delay.
+    lag_s = np.zeros(a)
+    lag_s[:a1] = np.diag(np.linalg.inv(np.eye(nd + a) - of_all)[nd : nd + a1, of_q]) / gains.rate_hz
+    return ErrorSystem(A, Q, doubled(of_all.T, np.zeros_like(of_all), Q[_MEASURED]), start, lag_s)
 
 
 def _inputs(gains: Gains, plant: Plant) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

@@ -43,6 +43,7 @@ class ErrorSystem(NamedTuple):
     # covariance P while all rows are measured, P = A P A' + Q, and after a restart (d, d)
     steady: Array
     start: Array
+    lag_s: Array  # mean delay of each fault's estimate behind a step of the fault, seconds
 
 
 class Observer(Protocol):

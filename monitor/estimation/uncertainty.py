@@ -7,12 +7,18 @@ Lyapunov equation P = A P A^T + B B^T and nothing has to be computed; after a lo
 is back.
 
 The scales are those of healthy flight (:mod:`monitor.fitting.spread`). A fault brings errors that healthy flight does
-not have, so the standard deviation of an alarm's size is
+not have, so the standard deviation of an alarm's size, and of the estimate of a channel that is held responsible, is
 
-    sqrt(lambda P + way^2 + (SHARE f)^2),     way = max(0, |f(t) - f(t - LAG_S)| - 2 sqrt(lambda P)),
+    sqrt(lambda P + way^2 + (SHARE f)^2),    way = max(0, |f(t) - f(t - h)| - 2 sd_h) / (e^(h / T) - 1),
 
-with f the shown size, lambda the level of this run's residuals (1 in healthy flight, larger in gusts), and way the
-movement of f beyond noise: a moving estimate lags behind its fault by about as much as it moved during its lag.
+with h = max(LAG_S, MOVED T), f the size, lambda the level of this run's residuals (1 in healthy flight, larger in gusts), and way what is still
+missing of f, as its movement tells: an estimate that is behind its fault by a mean delay T approaches it as e^(-t / T),
+so after a step it misses F e^(-t / T), e^(h / T) - 1 times less than it moved during the last h, and behind a ramp T
+times the slope. Noise of the same time constant moves it by sd_h = sqrt(2 (1 - e^(-h / T)) lambda P). A size that is a
+share of a command is one here, too: a constant share does not move.
+
+T is the mean delay by the error system, of a fault that moves the plant's states: a second of slow commands, 2 to 6 s
+of a gyro's bias that an angle shows, and before the observer LAG_S / log 2.
 """
 
 from __future__ import annotations
@@ -30,8 +36,12 @@ from monitor.estimation.bank import owners
 from monitor.estimation.observer import Observer
 
 LAG_S = 0.3
-"""Lag of estimates behind their fault, seconds. Chosen: smoothing (0.05 to 0.12 s), motors' lag and the delay of fixes
-(0.1 to 0.2 s) together. On a GPS that walks by 0.7 m/s the estimate lags by 0.2 to 0.3 s."""
+"""Time in which half of a step's error fades that is no lag of the observer, seconds. Chosen: smoothing (0.05 to 0.12
+s), motors' lag and the delay of fixes (0.1 to 0.2 s) together. On a GPS that walks by 0.7 m/s the estimate lags by 0.2
+to 0.3 s."""
+MOVED = 0.25
+"""Time over which the movement of a size is taken, as a share of its delay. Chosen: a longer one tells movement from
+noise more surely; within a shorter one the fault is raised (a gyro's of 5 times its threshold after a fifth)."""
 SHARE = 0.015
 """Part of the standard deviation in proportion to the size: errors of a model grow with what it explains, as curves,
 effects and washouts are known to some per cent. Measured on 42 recorded faults: from a second after the alarm on, the
@@ -59,12 +69,17 @@ class Uncertainty:
     ) -> None:
         self._covariance: ErrorCovariance | None = None
         self._channels = len(faults)
-        self._of_sizes = SizeErrors(max(1, round(LAG_S * observer.rate_hz)), len(faults), SHARE)
+        lag_s = np.full(len(faults), LAG_S / np.log(2.0))
         systems = None if plant is None else observer.error_systems(discretise(plant, observer.rate_hz))
-        if systems is None:
-            return
         hypotheses = observer.hypotheses
         owned = owners(hypotheses, faults)
+        if systems is not None:
+            lag_s += [systems[k].lag_s[hypotheses[k].faults.index(name)] for name, k in zip(faults, owned, strict=True)]
+        rows = np.maximum(1, np.rint(np.maximum(LAG_S, MOVED * lag_s) * observer.rate_hz)).astype(np.intp)
+        left = np.exp(-rows / observer.rate_hz / lag_s)
+        self._of_sizes = SizeErrors(rows, left / (1.0 - left), np.sqrt(2.0 * (1.0 - left)), SHARE)
+        if systems is None:
+            return
         used = sorted(set(owned))
         size = max(len(systems[k].steady) for k in used)
         A, Q, steady, start = (np.stack([_padded(systems[k][i], size) for k in used]) for i in range(4))
@@ -101,13 +116,15 @@ class Uncertainty:
         sizes: NDArray[np.float64],
         level: NDArray[np.float64],
         shown: NDArray[np.float64],
+        full: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Return the standard deviation of n sizes of alarms (n, a); ``sd`` is that of healthy flight.
 
-        ``level`` is the residuals' mean square relative to that of healthy flight (n,). The result is in the unit of
-        ``shown``, which is ``sd`` in the unit of alarms (n, a).
+        ``level`` is the residuals' mean square relative to that of healthy flight (n,). ``full`` is what each size is a
+        share of (n, a), 1 of a size that is none. The result is in the unit of ``shown``, which is ``sd`` in the unit
+        of alarms (n, a).
         """
-        return self._of_sizes.run(sd, sizes, level, shown)
+        return self._of_sizes.run(sd, sizes, level, shown, full)
 
 
 def _padded(matrix: NDArray[np.float64], size: int) -> NDArray[np.float64]:
