@@ -12,7 +12,7 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.affine import AffineObserver
-from monitor.estimation.uncertainty import LAG_S, SHARE, Uncertainty
+from monitor.estimation.uncertainty import LAG_S, Uncertainty
 
 NAMES = ("motor", "sensor")
 RUNS = 250
@@ -90,9 +90,20 @@ def test_cuts_do_not_change_a_bit_of_what_sizes_add(gains: Gains, parts: list[sl
     )
 
 
-def test_a_size_that_moves_is_behind_and_one_that_stands_is_as_wrong_as_its_model(gains: Gains) -> None:
+def test_a_size_is_uncertain_by_what_is_still_missing_of_it(gains: Gains) -> None:
     seconds = np.arange(2_000) / gains.rate_hz
-    sizes = np.column_stack([seconds, np.full(2_000, 20.0)])
-    noise = np.full((2_000, 2), 0.001)
+    delay_s = LAG_S / np.log(2.0) + 1.0 / gains.rate_hz
+    sizes = np.column_stack([20.0 * -np.expm1(-seconds / delay_s), seconds])
+    noise = np.full((2_000, 2), 1e-6)
     sd = uncertainty(gains).of_sizes(noise, sizes, np.ones(2_000), noise, np.ones_like(noise))
-    assert sd[-1] == pytest.approx([np.hypot(LAG_S, SHARE * seconds[-1]), SHARE * 20.0], rel=0.05)
+    begun = seconds > LAG_S
+    missing = 20.0 - sizes[:, 0]
+    assert sd[begun, 0] == pytest.approx(missing[begun], rel=0.05, abs=1e-5)
+    assert sd[-1, 1] == pytest.approx(LAG_S, rel=0.05)
+
+
+def test_a_constant_share_of_a_command_does_not_move(gains: Gains) -> None:
+    full = np.column_stack([1.0 + 0.5 * np.sin(np.arange(200.0)), np.ones(200)])
+    noise = np.full((200, 2), 0.001)
+    sd = uncertainty(gains).of_sizes(noise, -0.1 * full, np.ones(200), noise, full)
+    assert sd[50:] == pytest.approx(noise[50:])

@@ -303,20 +303,17 @@ cdef class SizeErrors:
         Of each fault (a,): rows over which the movement of its size is taken; what is still missing of the size for its
         movement over these rows; and the standard deviation of the movement of a size that only noise moves, for one of
         the size.
-    share : float
-        Part of the standard deviation in proportion to the size.
     """
 
     cdef double[:, ::1] before
     cdef double[::1] ahead, apart
     cdef Py_ssize_t[::1] rows
     cdef Py_ssize_t newest
-    cdef double share
 
-    def __init__(self, rows, ahead, apart, double share):
+    def __init__(self, rows, ahead, apart):
         self.rows = np.asarray(rows, np.intp)
         self.ahead, self.apart = np.ascontiguousarray(ahead, np.float64), np.ascontiguousarray(apart, np.float64)
-        self.before, self.share = np.zeros((max(rows) + 1, len(rows))), share
+        self.before = np.zeros((max(rows) + 1, len(rows)))
 
     def run(self, const double[:, :] sd, const double[:, :] sizes, const double[:] level, const double[:, :] shown,
             const double[:, :] full):
@@ -327,7 +324,7 @@ cdef class SizeErrors:
         1 of a size that is none.
         """
         cdef Py_ssize_t k, i, then, length = self.before.shape[0], count = sizes.shape[0], faults = self.rows.shape[0]
-        cdef double size, noise, way, part
+        cdef double size, noise, way
         if not (same_shape(sd, sizes) and same_shape(shown, sizes) and same_shape(full, sizes)) or (
             sizes.shape[1] != faults
         ):
@@ -343,8 +340,7 @@ cdef class SizeErrors:
                 way = fabs(size - self.before[then, i] * full[k, i])
                 way = self.ahead[i] * at_least(way - 2.0 * self.apart[i] * noise, 0.0)
                 self.before[self.newest, i] = size / full[k, i]
-                part = self.share * size
-                errors[k, i] = shown[k, i] * (sqrt(noise * noise + way * way + part * part) / sd[k, i])
+                errors[k, i] = shown[k, i] * (hypot(noise, way) / sd[k, i])
         return result
 
 
