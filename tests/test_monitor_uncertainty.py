@@ -5,6 +5,7 @@ import pytest
 from cuts import cuts
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from test_monitor_coasting import plant
 
 from gains.synthesis.certificate import certify
@@ -46,6 +47,31 @@ def test_it_is_the_scatter_of_the_estimates_measured_coasted_and_resumed(gains: 
     assert scatter[50:] == pytest.approx(shown[50:], rel=0.2)
 
 
+def test_two_standard_deviations_hold_the_size_of_a_fault_19_times_of_20(gains: Gains) -> None:
+    whole, rng, count, onset = plant(), np.random.default_rng(3), 80, 20
+
+    def estimated(f: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the estimates of the runs' faults (RUNS * count, 2), which begin at the onset."""
+        x, y = np.zeros((RUNS, 2)), np.empty((count, RUNS, 2))
+        for k in range(count):
+            fault = f * (k >= onset)
+            y[k] = x + fault * [0.0, 1.0] + 0.001 * rng.normal(size=x.shape)
+            x = x @ whole.A.T + np.outer(fault[:, 0], whole.E_f[:, 0]) + 0.001 * rng.normal(size=x.shape)
+        restart = np.arange(count * RUNS) % count == 0
+        series = y.swapaxes(0, 1).reshape(-1, 2)
+        return AffineObserver([gains]).run(np.zeros((count * RUNS, 1)), series, restart=restart).fault
+
+    # as a fit does: the errors of health give the scale; within LAG_S of its onset a step is still on its way
+    health = estimated(np.zeros((RUNS, 2))).reshape(RUNS, count, 2)[:, onset:]
+    begin, noise = onset + round(1.2 * LAG_S * gains.rate_hz), np.tile(health.std(axis=(0, 1)), (RUNS * count, 1))
+    truth = 0.05 + 0.1 * rng.random((RUNS, 2))
+    sizes = estimated(truth)
+    sd = uncertainty(gains).of_sizes(noise, sizes, np.ones(len(sizes)), noise, np.ones_like(sizes))
+    within = np.abs(sizes - np.repeat(truth, count, axis=0)) <= 2.0 * sd
+    inside = within.reshape(RUNS, count, 2)[:, begin:].mean(axis=(0, 1))
+    assert ((inside >= 0.90) & (inside <= 0.98)).all()
+
+
 def test_it_grows_with_every_coasted_sample_and_comes_back_to_where_it_was(gains: Gains) -> None:
     measured = np.arange(2_011) > 10
     measured[0] = True
@@ -83,16 +109,19 @@ def test_cuts_do_not_change_a_bit(
 @given(parts=cuts(60))
 def test_cuts_do_not_change_a_bit_of_what_sizes_add(gains: Gains, parts: list[slice]) -> None:
     sizes, sd, level = np.random.default_rng(2).normal(size=(60, 2)), np.full((60, 2), 0.1), np.full(60, 1.5)
-    whole, cut = uncertainty(gains).of_sizes(sd, sizes, level, sd, np.ones_like(sd)), uncertainty(gains)
-    assert (
-        np.concatenate([cut.of_sizes(sd[part], sizes[part], level[part], sd[part], np.ones_like(sd[part])) for part in parts]).tobytes()
-        == whole.tobytes()
-    )
+    columns = sd, sizes, level, sd, np.ones((60, 2))
+    whole, cut = uncertainty(gains).of_sizes(*columns), uncertainty(gains)
+    assert np.concatenate([cut.of_sizes(*(q[part] for q in columns)) for part in parts]).tobytes() == whole.tobytes()
+
+
+def lag_s(gains: Gains) -> float:
+    (system,) = AffineObserver([gains]).error_systems(plant()) or ()
+    return float(system.lag_s[0])
 
 
 def test_a_size_is_uncertain_by_what_is_still_missing_of_it(gains: Gains) -> None:
     seconds = np.arange(2_000) / gains.rate_hz
-    delay_s = LAG_S / np.log(2.0) + 1.0 / gains.rate_hz
+    delay_s = LAG_S / np.log(2.0) + lag_s(gains)
     sizes = np.column_stack([20.0 * -np.expm1(-seconds / delay_s), seconds])
     noise = np.full((2_000, 2), 1e-6)
     sd = uncertainty(gains).of_sizes(noise, sizes, np.ones(2_000), noise, np.ones_like(noise))
