@@ -41,8 +41,8 @@ class Estimates:
     residual: NDArray[np.float64]  # output errors yt = y - Cb zeta^ (n, p)
     # whether alarms could be raised from the sample (n,): in flight, observer settled, sample complete
     armed: NDArray[np.bool_]
-    # one standard deviation of ``fault`` by the noise of healthy flight (n, a1 + a2), in the same units, not a number
-    # where it is not known; that of an alarm's size also counts what a fault brings
+    # one standard deviation (n, a1 + a2), in the same units, of ``isolated`` where that is not zero, as of an alarm's
+    # size, elsewhere of ``fault`` by the noise of healthy flight; not a number where it is not known
     sd: NDArray[np.float64]
     # time since the last sample with measurements, seconds (n,); 0 for one that has them
     coasted_s: NDArray[np.float64]
