@@ -40,7 +40,7 @@ def converted(curve: list[float], u: float, fault: float, sd: float = 0.0) -> tu
     """Return fault, evidence and sd of one channel in command units."""
     scale = CommandScale(np.array([curve]), np.zeros(1, np.intp), np.zeros(1, np.intp), 0.0)
     rows = (np.array([[value]]) for value in (fault, fault, sd))
-    one, evidence, deviation, _ = scale.run(np.array([[u]]), np.ones(1, np.uint8), *rows)
+    one, evidence, deviation, *_ = scale.run(np.array([[u]]), np.ones(1, np.uint8), *rows)
     return float(one[0, 0]), float(evidence[0, 0]), float(deviation[0, 0])
 
 
@@ -121,7 +121,7 @@ def test_a_loss_of_a_command_that_moves_is_known_as_well_as_the_estimate_follows
         smoothed[k] = 0.8 * smoothed[k - 1] + 0.2 * now if k else now
     fault = -0.15 * smoothed[:, None]
     scale = CommandScale(np.ones((1, 1)), np.zeros(1, np.intp), np.zeros(1, np.intp), 0.8)
-    _, isolated, sd, _ = scale.run(u[:, None], np.arange(len(u)) == 0, fault, fault, np.full_like(fault, 1e-4))
+    _, isolated, sd, *_ = scale.run(u[:, None], np.arange(len(u)) == 0, fault, fault, np.full_like(fault, 1e-4))
     assert sd[:90] == pytest.approx(1e-4)
     error = np.abs(isolated[:, 0] + 0.15 * u)[100:]
     assert error.max() > 1e-3
@@ -132,5 +132,5 @@ def test_a_fault_of_what_is_driven_both_ways_is_no_share_of_its_command() -> Non
     u = np.sin(0.05 * np.arange(400.0))
     fault = np.full((400, 1), 2.0)
     scale = CommandScale(np.ones((1, 1)), np.zeros(1, np.intp), np.zeros(1, np.intp), 0.8)
-    _, _, sd, _ = scale.run(u[:, None], np.arange(len(u)) == 0, fault, fault, np.full_like(fault, 1e-4))
+    _, _, sd, *_ = scale.run(u[:, None], np.arange(len(u)) == 0, fault, fault, np.full_like(fault, 1e-4))
     assert sd[70:] == pytest.approx(1e-4)
