@@ -510,7 +510,8 @@ class Pipeline:
         measured = {channel.message for channel in (*chain.source.outputs, *chain.source.signals)}
         link, frozen = self._link.affect, self._blind.frozen
         if not again.isdisjoint(measured):
-            return Doubt(link, "explained by a second sender", self._clock.repeated_ns - _TOGETHER_NS, whole=True)
+            since_ns = min(self._clock.repeated_ns - _TOGETHER_NS, now_ns - LATELY_NS)
+            return Doubt(link, "explained by a second sender", since_ns, whole=True)
         if not chain.sampler.interests.isdisjoint(self._forged):
             return Doubt(link, "explained by a second sender", now_ns - LATELY_NS, whole=False)
         if measured.isdisjoint(frozen):

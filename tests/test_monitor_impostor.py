@@ -349,4 +349,5 @@ def test_what_was_learned_of_a_replayed_stretch_accuses_no_sensor_after_it(whole
     events = events_of(read_profile(QUAD), attacked)
     [ended] = [event for event in events if event.channel == "impostor" and event.state == "cleared"]
     assert whole[-1].received_ns - ended.time_ns > 8_000_000_000
-    assert [event.channel for event in events if event.time_ns > ended.time_ns] == []
+    # the motors, which were not watched meanwhile, are again
+    assert {event.channel for event in events if event.time_ns > ended.time_ns} <= {"blind"}
