@@ -170,6 +170,24 @@ def test_errors_are_no_larger_for_a_gps_that_was_missing_while_accelerations_wer
     assert beyond == pytest.approx(1.0)
 
 
+def test_accelerations_tell_the_way_between_two_fixes_of_which_some_were_lost() -> None:
+    """A vehicle that speeds up by 3.2 m/s² is 0.14 m off the line over 0.6 s."""
+    raw = truth.signals(20.0)
+    course = np.radians(raw[:, 13])
+    raw[:, 12], raw[:, 13] = raw[:, 12] * np.cos(course), raw[:, 12] * np.sin(course)
+    lined, lines_ns = raw.copy(), np.zeros(raw.shape, np.int64)
+    for first in range(500, 1900, 100):
+        lined[first : first + 61, 9:14] = np.linspace(raw[first, 9:14], raw[first + 60, 9:14], 61)
+        lines_ns[first + 1 : first + 60, 9:14] = 600_000_000
+    found = []
+    for signals in (raw, lined):
+        north, east = signals[:, 12].copy(), signals[:, 13].copy()
+        signals[:, 12], signals[:, 13] = np.hypot(north, east), np.degrees(np.arctan2(east, north)) % 360.0
+        samples = replace(raw_samples(signals, 0), lines_ns=lines_ns * (signals is lined))
+        found.append(Strapdown({}, truth.SIGNAL_HZ, truth.RATE_HZ).run(samples).samples.y[:, :2])
+    assert np.abs(found[1] - found[0]).max() < 0.03
+
+
 def test_accelerations_that_come_seldom_give_a_missing_gps_no_height_beside_a_barometer() -> None:
     """Accelerometer z reads 3 m/s² too much, 1350 m within the 30 s without the GPS."""
     raw = truth.signals(60.0)
