@@ -765,8 +765,8 @@ cdef class StrapdownCore:
         self._down_share, self._down_hidden = motion[4], motion[5]
         self.reckon(
             motion[3] != 0.0,
-            # A line over lost fixes hides how the vehicle went: accelerations tell it.
-            self._gps and (fix[5] != 0.0 or fix[6] > 0.0),
+            # A line over lost fixes hides how the vehicle went: accelerations that give a velocity tell it.
+            self._gps and (fix[5] != 0.0 or fix[6] > 0.0 and self._navigation is not None),
             self._baro and altitude[1] != 0.0,
             self._mag and (self._unread or self._faint or (lacks[_MAG] and not still and level[5] == 0.0)),
             y,
