@@ -5,6 +5,9 @@
 FLIGHTS are folders of recordings and their truth, as of ``bench/rates.py``. Per vehicle and kind of recording the first
 healthy flight is left out, a profile is fitted on the others, and each fault of :data:`CASES` is put into the one left
 out, a minute after take-off. ``--write`` writes docs/names.md, without it the page is printed.
+
+With ``--deviations`` it is measured instead whether the published standard deviations are true (docs/sizes.md): faults
+of :data:`SIZES` begin at several times, and recorded ones whose size is known are added.
 """
 
 from __future__ import annotations
@@ -17,12 +20,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import cycle
 from math import radians
 from pathlib import Path
 
 import numpy as np
 from accounting import AFTERMATH_S, Spell, spells
-from flights import Flight
+from flights import Flight, Truth
 from numpy.typing import NDArray
 from rates import HOVER, recordings
 
@@ -34,7 +38,7 @@ from adapters.message import Message
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
-from monitor.profile import Profile, read_profile
+from monitor.profile import FaultChannel, Profile, read_profile
 from monitor.vehicles.kinds import fit_messages
 from replay.attacks.attack import Attack
 from replay.attacks.injector import WITHOUT_PAST, Injector, inject, plan, profile_clocks
@@ -253,7 +257,7 @@ def sizes_off(
     """Return by how many standard deviations a fault's sizes are off, from :data:`SETTLED_NS` after its onset on."""
     off = [np.empty(0)]
     for run in runs:
-        faults = next(observer.faults for observer in profile.observers if observer.name == run.observer)
+        faults = _faults(profile, run.observer)
         stamps = run.samples.vehicle_time_ns
         for index, fault in enumerate(faults):
             if fault.name not in case.sizes:
@@ -264,6 +268,119 @@ def sizes_off(
                 truth *= run.samples.u[named, fault.input]
             off.append((run.isolated[named, index] - truth) / run.sd[named, index])
     return np.concatenate(off)
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Errors of one channel in published standard deviations (n,): of what, and in which kind of recording."""
+
+    group: str
+    channel: str
+    what: str
+    off: NDArray[np.float64]
+
+
+def deviations(group: str, fit: Sequence[Flight], out: Flight, faulty: Sequence[Flight], folder: str) -> list[Errors]:
+    """Return the errors of a healthy flight, of faults put into it, and of recorded faults."""
+    profile = profile_of(out.kind, fit, Path(folder))
+    healthy = play_healthy(profile, read_batches(out.log, interests(profile)))
+    pipeline, stop_ns = Pipeline(profile), (out.touchdown_ms or 1 << 43) * 1_000_000
+    runs = [run for batch in healthy.batches for run in pipeline.run(batch) if isinstance(run, Estimates)]
+    errors = [
+        Errors(group, fault.name, "healthy", (run.fault[rows, index] / run.sd[rows, index]))
+        for run in runs
+        for rows in [run.armed & (run.samples.vehicle_time_ns < stop_ns)]
+        for index, fault in enumerate(_faults(profile, run.observer))
+        if rows.any() and fault.name in SIZES
+    ]
+    end_ns = min(stop_ns, max(int(times[-1]) for times in healthy.newest_ns if len(times)))
+    begin_ns = (out.takeoff_ms or 0) * 1_000_000 + SOONEST_NS
+    onsets_ns = range(begin_ns, end_ns - LASTS_NS, EVERY_NS)[:ONSETS]
+    scaling = {fault.name for watch in profile.observers for fault in watch.faults if fault.input is not None}
+    for channel, sizes in SIZES.items():
+        unit = "share" if channel in scaling else "SI"
+        for size, start_ns in zip(cycle(sizes), onsets_ns, strict=False):
+            case = _one(channel, size, kind="loss" if channel in scaling else "bias")
+            span = start_ns, start_ns + LASTS_NS
+            try:
+                _, outputs = play_fault(case, profile, healthy, *span, span[1])
+            except UsageError:
+                continue
+            errors += _errors_of(group, profile, outputs, Truth(channel, unit, size), span)
+    for one in faulty:
+        pipeline = Pipeline(profile)
+        outputs = [output for batch in read_batches(one.log, interests(profile)) for output in pipeline.run(batch)]
+        for fault in one.faults:
+            if fault.truth is not None:
+                span = fault.on_ms * 1_000_000, min(fault.off_ms * 1_000_000, fault.on_ms * 1_000_000 + LONGEST_NS)
+                errors += _errors_of("recorded", profile, outputs, fault.truth, span)
+    return errors
+
+
+def _faults(profile: Profile, observer: str) -> Sequence[FaultChannel]:
+    return next(watch.faults for watch in profile.observers if watch.name == observer)
+
+
+def _errors_of(
+    group: str, profile: Profile, outputs: Sequence[AlarmEvent | Estimates], truth: Truth, span: tuple[int, int]
+) -> Iterator[Errors]:
+    """Yield the errors of the sizes of a fault's alarms, and of its estimates from the first alarm on."""
+    raised: dict[str, int] = {}
+    for event in outputs:
+        if not isinstance(event, AlarmEvent) or event.channel != truth.channel or event.state == "cleared":
+            continue
+        now_ns = event.vehicle_time_ms * 1_000_000
+        if not span[0] - ONSET_NS <= now_ns <= span[1] or event.estimate is None or not event.sd:
+            continue
+        raised.setdefault(event.observer, now_ns)
+        size = float(truth.after(np.array([(now_ns - span[0]) / 1e9]))[0])
+        off = event.estimate - size
+        if truth.unit == "share":
+            if not event.relative:
+                continue
+            off = (event.relative + size) * abs(event.estimate / event.relative)
+        yield Errors(group, truth.channel, "alarms", np.array([off / event.sd]))
+    for observer, since_ns in raised.items():
+        parts = [np.empty(0)]
+        for run in (run for run in outputs if isinstance(run, Estimates) and run.observer == observer):
+            index = [fault.name for fault in _faults(profile, observer)].index(truth.channel)
+            times_ns, source = run.samples.vehicle_time_ns, _faults(profile, observer)[index].input
+            rows = run.armed & (times_ns >= since_ns) & (times_ns < span[1]) & (run.isolated[:, index] != 0.0)
+            sizes = truth.after((times_ns[rows] - span[0]) / 1e9)
+            if source is not None:
+                sizes = -sizes * np.abs(run.samples.u[rows, source])
+            parts.append((run.isolated[rows, index] - sizes) / run.sd[rows, index])
+        if len(joined := np.concatenate(parts)):
+            yield Errors(group, truth.channel, "estimates", joined)
+
+
+def sizes_page(errors: Sequence[Errors]) -> str:
+    """Return the page of the deviations, misses first."""
+    groups = [*dict.fromkeys(one.group for one in errors if one.group != "recorded"), "recorded"]
+    lines, missed = [], []
+    for what, title in WHATS.items():
+        own = [one for one in errors if one.what == what]
+        lines += ["", f"## {title}", "", f"| channel | {' | '.join(groups)} | all |", f"|{'---|' * (len(groups) + 2)}"]
+        for channel in dict.fromkeys(one.channel for one in own):
+            mine = [one for one in own if one.channel == channel]
+            cells = [_deviation([one for one in mine if one.group == group]) for group in groups]
+            lines.append(f"| {channel} | {' | '.join(text for text, _ in cells)} | {_deviation(mine)[0]} |")
+            text, share = _deviation(mine)
+            if share is not None and not 90.0 <= share <= 98.0:
+                missed.append(f"- {title[0].lower()}{title[1:]}: {channel} {text}")
+    return "\n".join([SIZES_INTRODUCTION, *missed, *lines]) + "\n"
+
+
+def _deviation(errors: Sequence[Errors]) -> tuple[str, float | None]:
+    """Return the share within two deviations and the root mean square, each fault counting once, and the share."""
+    known = [off for one in errors if len(off := one.off[np.isfinite(one.off)])]
+    if not known:
+        return "", None
+    weights = [len(off) if errors[0].what == "healthy" else 1 for off in known]
+    share = 100.0 * float(np.average([np.mean(np.abs(off) <= 2.0) for off in known], weights=weights))
+    square = np.average([np.mean(np.minimum(np.abs(off), LARGEST) ** 2) for off in known], weights=weights)
+    count = "" if errors[0].what == "healthy" else f" ({len(known)})"
+    return f"{share:.0f} %, {float(np.sqrt(square)):.2g}{count}", share
 
 
 def _judged(case: Case, group: str, one: Flight, events: Sequence[AlarmEvent], on_ms: int, off_ms: int) -> Outcome:
@@ -309,16 +426,20 @@ def _spells(events: Sequence[AlarmEvent]) -> list[Spell]:
 
 def make(group: str, fit: Sequence[Flight], out: Flight, folder: str, kinds: Sequence[str]) -> list[Outcome]:
     """Fit a profile and try every case on the flight that was left out."""
-    path = Path(folder)
-    if not (path / "profile.toml").exists():
-        try:
-            fit_profile(out.kind, [partial(read_batches, one.log, fit_messages()) for one in fit], path, "it")
-        except ValueError as error:
-            return [Outcome(group, out.name, "fit", refused=str(error))]
-    profile = read_profile(path)
+    try:
+        profile = profile_of(out.kind, fit, Path(folder))
+    except ValueError as error:
+        return [Outcome(group, out.name, "fit", refused=str(error))]
     healthy = play_healthy(profile, read_batches(out.log, interests(profile)))
     cases = [case for case in CASES if not kinds or any(kind in case.name for kind in kinds)]
     return [try_case(case, group, out, profile, healthy) for case in cases]
+
+
+def profile_of(kind: str, fit: Sequence[Flight], path: Path) -> Profile:
+    """Return the profile of a folder, fitted if there is none."""
+    if not (path / "profile.toml").exists():
+        fit_profile(kind, [partial(read_batches, one.log, fit_messages()) for one in fit], path, "it")
+    return read_profile(path)
 
 
 def main() -> None:
@@ -329,17 +450,25 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[], help="groups with these words alone")
     parser.add_argument("--kinds", nargs="*", default=[], help="cases with these words alone")
     parser.add_argument("--profiles", type=Path, help="folder to keep the profiles in, and to take them from")
-    parser.add_argument("--write", action="store_true", help="write docs/names.md")
+    parser.add_argument("--write", action="store_true", help="write docs/names.md (docs/sizes.md)")
+    parser.add_argument("--deviations", action="store_true", help="measure the standard deviations instead")
     parser.add_argument("--jobs", type=int, default=2, help="processes (2)")
     args = parser.parse_args()
-    jobs = [job for folder in args.flights for job in jobs_of(folder) if _wanted(job[0], args.only)]
+    jobs = [job for folder in args.flights for job in jobs_of(folder, args.deviations) if _wanted(job[0], args.only)]
     context = multiprocessing.get_context("spawn")
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory() as temporary, ProcessPoolExecutor(args.jobs, mp_context=context) as pool:
-        folder = args.profiles or Path(temporary)
+        folders = [
+            str((args.profiles or Path(temporary)) / "".join(c if c.isalnum() else "_" for c in job[0])) for job in jobs
+        ]
+        if args.deviations:
+            measured = [pool.submit(deviations, *job, folder) for job, folder in zip(jobs, folders, strict=True)]
+            text = sizes_page([error for future in measured for error in future.result()])
+            (ROOT / "docs/sizes.md").write_text(text, encoding="utf-8") if args.write else sys.stdout.write(text)
+            return
         made = [
-            pool.submit(make, *job, str(folder / "".join(c if c.isalnum() else "_" for c in job[0])), args.kinds)
-            for job in jobs
+            pool.submit(make, group, fit, out, folder, args.kinds)
+            for (group, fit, out, _), folder in zip(jobs, folders, strict=True)
         ]
         for future in made:
             outcomes += future.result()
@@ -351,14 +480,20 @@ def main() -> None:
         sys.stdout.write(page(outcomes))
 
 
-def jobs_of(folder: Path) -> Iterator[tuple[str, list[Flight], Flight]]:
-    """Yield each vehicle and kind of recording of a folder with the healthy flights to fit and the one left out."""
+def jobs_of(folder: Path, alone: bool = False) -> Iterator[tuple[str, list[Flight], Flight, list[Flight]]]:
+    """Yield each vehicle and kind of recording with the healthy flights to fit, the one left out, and the faulty ones.
+
+    With ``alone`` a single healthy flight is fitted; left out is a faulty one until its fault.
+    """
     flights = [replace(one, group=one.group.replace(*_FAST)) for one in recordings(folder)]
     for group in dict.fromkeys(one.group for one in flights):
         healthy = [one for one in flights if one.group == group and one.healthy]
         flown = [one for one in healthy if not one.name.endswith(HOVER) and "noisy" not in one.name]
+        faulty = [one for one in flights if one.group == group and one.faults and "noisy" not in one.name]
         if len(flown) > 1:
-            yield group, flown[1:], flown[0]
+            yield group, flown[1:], flown[0], faulty
+        elif alone and flown and faulty:
+            yield group, flown, replace(faulty[0], touchdown_ms=faulty[0].faults[0].on_ms), faulty
 
 
 def _wanted(group: str, words: Sequence[str]) -> bool:
@@ -413,6 +548,29 @@ def _cell(outcome: Outcome) -> str:
     return "; ".join(parts)
 
 
+SIZES: dict[str, tuple[float, ...]] = {
+    **{f"motor{n}": (0.06, 0.15) if n % 2 else (0.1, 0.2) for n in range(1, 5)},
+    **dict.fromkeys(("aileron", "elevator", "rudder", "throttle", "steering"), (0.3, 0.5)),
+    **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), (0.03, -0.08)),
+    **dict.fromkeys(("accel_x", "accel_y", "accel_z"), (0.6, -1.0)),
+    **dict.fromkeys(("gps_north", "gps_east", "gps_down", "baro"), (5.0, -12.0)),
+    "compass": (0.35, -0.8),
+}
+"""True sizes of faults by channel, by turns; of actuators the share of the command that is lost."""
+SOONEST_NS, EVERY_NS, LASTS_NS, ONSETS = 35_000_000_000, 25_000_000_000, 12_000_000_000, 4
+"""First onset after take-off, time between onsets, length and number of faults: all within three minutes of flight."""
+LONGEST_NS = 60_000_000_000
+"""Most of a recorded fault that counts."""
+ONSET_NS = 50_000_000
+"""An alarm that is sooner by less belongs to the fault: its onset is known to one command of the simulator."""
+LARGEST = 10.0
+"""Errors count as at most so many deviations: a single one that is wrong altogether would hide all others."""
+WHATS = {
+    "alarms": "Sizes of alarms, raised and updated",
+    "estimates": "Estimates from the alarm on",
+    "healthy": "Estimates in healthy flight",
+}
+
 _FAST = ("ArduPilot quad, link, motors 10 Hz", "ArduPilot quad, link, 100 Hz")
 """The flights whose only recording is a fast link."""
 EXPLAINED = "explained by "
@@ -435,6 +593,31 @@ recorded faults of [detection](detection.md) and [rates](rates.md) have both rea
 ## What is wrong
 
 "not alone" means that other channels were named too, and not listed under the right one later ("explained by").
+"""
+
+SIZES_INTRODUCTION = f"""# How true the standard deviations are
+
+    python bench/names.py FLIGHTS... --deviations --write
+
+makes this page. Profiles and flights are those of [names](names.md), and kinds with a single healthy flight: there the
+profile is that flight's, and faults are put into a faulty flight before its own. Per channel up to {ONSETS} faults of
+{LASTS_NS / 1e9:g} s are put in, of two sizes by turns; "recorded" are flights with a fault of known size, of all kinds
+of recordings. A cell has the share of errors within two published standard deviations (95 % would be right), their root
+mean square in deviations (1 would be right; each counts as at most {LARGEST:g}), and the number of faults or events.
+Each fault counts once, however long it lasts. Faults put in are exact and come at once; recorded ones are neither.
+
+Healthy accelerometers x and y have no error, as their estimate is zero until one is held responsible. Known causes:
+
+- The size of a GPS step on PX4 wanders with the receiver since its onset; a walk's size is behind by more than its
+  movement tells.
+- The navigation's sizes of accelerometers are as sure as real receivers (0.05 m/s) would make them; simulated ones are
+  better.
+- A radio's motors differ more from flight to flight than within the one that was fitted, and a first size between two
+  of its samples is half of a jump.
+
+## Misses
+
+Channels with less than 90 % or more than 98 % over all kinds of recordings:
 """
 
 BY_KIND = f"""A cell has, in this order:

@@ -18,8 +18,8 @@ behind a ramp T times the slope. Noise, which the observer alone smooths, moves 
 T_own)) lambda P). A size that is a share of a command is one here, too: a constant share does not move.
 
 Nothing grows with f itself: where a motor delivers less the model's errors are those of healthy flight at the smaller
-command, and faults of sensors add. On 21 recorded losses of motors the truth was within two of these standard
-deviations 96 to 97 % of the time, with errors of 0.80 to 0.88 of them (root mean square).
+command, and faults of sensors add. On recorded losses of motors the truth was within two of these standard deviations
+97 to 100 % of the time (docs/sizes.md).
 
 T = T_own + LAG_S / log 2. T_own is the mean delay by the error system, of a fault that moves the plant's states: a
 second of slow commands, 2 to 6 s of a gyro's bias that an angle shows.
