@@ -195,6 +195,7 @@ class Choices:
         keep: float = 0.0,
         washed: Washout | None = None,
         lasting: float = 1.0,
+        calm: float = 0.0,
     ) -> None:
         # One output, without smoothing: J is the square of the residual.
         self._choice = Choice(
@@ -214,6 +215,8 @@ class Choices:
             penalty=penalty,
             usual=usual,
             follow=0.01,
+            calm=np.array([[0.0], [0.0], [calm]]),
+            calm_rows=10,
         )
 
     def run(
@@ -225,6 +228,7 @@ class Choices:
         corrected: np.ndarray | None = None,
         restart: np.ndarray | None = None,
         resumed: np.ndarray | None = None,
+        y: tuple[float, ...] | None = None,
     ) -> EstimatorRun:
         count = len(J)
         flags = np.ones(count, np.uint8)
@@ -233,8 +237,32 @@ class Choices:
         faults = np.broadcast_to(fault, (count, 4))
         begins, larger = 0 * flags if restart is None else restart, np.full(count, beyond)
         return EstimatorRun(
-            *self._choice.run(x, faults, residual, flags, flags, begins, armed * flags, larger, corrected, resumed)
+            *self._choice.run(
+                x,
+                faults,
+                residual,
+                np.zeros((count, 1)) if y is None else np.array(y)[:, None],
+                flags,
+                flags,
+                begins,
+                armed * flags,
+                larger,
+                corrected,
+                resumed,
+            )
         )
+
+
+def test_a_hypothesis_for_calm_is_believed_after_calm_where_it_explains_what_lasts() -> None:
+    choices, J = Choices(lasting=8.0, calm=0.3), [[8.0, 8.0, 0.1]] * 200
+    rows = choices.run(J, y=(*[0.5] * 100, *[0.1] * 100)).x[:, 0]
+    assert (rows[:109] < 2.0).all()
+    assert (rows[109:] == 2.0).all()
+    # What it explains goes on in a turn; one that nothing else explains, but did not last, is no evidence for it.
+    assert (choices.run(J, y=(0.5,) * 200).x[:, 0] == 2.0).all()
+    sudden = Choices(calm=0.3).run([[1.0, 1.0, 1.0]] * 100 + [[90.0, 90.0, 0.1]] * 5)
+    assert (sudden.x[:, 0] < 2.0).all()
+    assert (sudden.unexplained[100:] > 3.0).all()
 
 
 @pytest.mark.parametrize(

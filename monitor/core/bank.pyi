@@ -25,12 +25,15 @@ class Choice:
         penalty: float,
         usual: float = 0.0,
         follow: float = 0.0,
+        calm: Array | None = None,
+        calm_rows: int = 0,
     ) -> None: ...
     def run(
         self,
         x: Array,
         fault: Array,
         residual: Array,
+        y: Array,
         measured: Flags,
         complete: Flags,
         restart: Flags,

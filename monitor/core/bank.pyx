@@ -43,6 +43,9 @@ cdef double SECOND_SHARE = 0.25
 # most what healthy flight leaves unexplained, as the floor is twice the score of health (MARGIN of
 # monitor.fitting.calibrate).
 cdef double SECOND_APART = 0.25
+# J by which what lasts has to be smaller under a hypothesis that is believed in calm alone, in gain_penalty: twice what
+# turns left of it after a time without any (CALM_LEVELS of monitor.estimation.bank).
+cdef double CALM_APART = 2.0
 # A level is flat if it changes by less than this share of the step. A ramp through the window changes a level by flat /
 # (gap + mean), 1.7 steps. Chosen: far below that, with room for noise of an eighth of the step.
 cdef double EDGE_SHARE = 0.25
@@ -114,9 +117,17 @@ cdef class Choice:
     usual, follow : float
         Mean of the smallest J in healthy flight (0: its level is not followed), and the weight of a row in the level
         and in the mean residuals.
+    calm : ndarray, optional
+        Largest size of each output with which a hypothesis is believed, 0 for any (K, p).
+    calm_rows : int
+        For how many rows no output was larger.
     """
 
     cdef double[:, :, ::1] whitening, lasting
+    cdef double[:, ::1] calm
+    cdef unsigned char[::1] only_in_calm, barred
+    cdef Py_ssize_t[::1] still
+    cdef Py_ssize_t calm_rows
     cdef Py_ssize_t[::1] spans, channel, shown, compared, group, rival
     cdef Py_ssize_t[:, ::1] exchanged
     cdef unsigned char[::1] scaling, is_compared, remembered, counted
@@ -130,8 +141,11 @@ cdef class Choice:
     cdef bint coasted, open
 
     def __init__(self, whitening, lasting, spans, channel, shown, scaling, groups, own, edges, washouts, keep, floor,
-                 share, penalty, usual=0.0, follow=0.0):
+                 share, penalty, usual=0.0, follow=0.0, calm=None, calm_rows=0):
         K, p, a = len(whitening), whitening.shape[1], len(shown)
+        self.calm = np.zeros((K, p)) if calm is None else np.ascontiguousarray(calm, float)
+        self.only_in_calm, self.barred = np.any(self.calm, axis=1).astype(np.uint8), np.zeros(K, np.uint8)
+        self.still, self.calm_rows = np.zeros(K, np.intp), calm_rows
         self.whitening, self.lasting = np.ascontiguousarray(whitening), np.ascontiguousarray(lasting)
         self.spans, self.channel, self.shown = (np.asarray(indices, np.intp) for indices in (spans, channel, shown))
         self.scaling, self.own = np.asarray(scaling, np.uint8), np.ascontiguousarray(own, np.uint8)
@@ -162,28 +176,30 @@ cdef class Choice:
         self.believed, self.unexplained, self.coasted = self.compared[0], 0.0, False
 
     def run(self, const double[:, :, :] x, const double[:, :] fault, const double[:, :, :] residual,
-            const unsigned char[:] measured, const unsigned char[:] complete, const unsigned char[:] restart,
-            const unsigned char[:] armed, const double[:] beyond, const unsigned char[:] corrected=None,
-            const unsigned char[:] resumed=None):
+            const double[:, :] y, const unsigned char[:] measured, const unsigned char[:] complete,
+            const unsigned char[:] restart, const unsigned char[:] armed, const double[:] beyond,
+            const unsigned char[:] corrected=None, const unsigned char[:] resumed=None):
         """Return x, fault, believed residual, evidence, counted, smoothed, unexplained, level, rival, let go of n rows.
 
-        x (n, K, states), fault (n, F) and residual (n, K, p) are the estimates of the observers. A row that is neither
-        measured nor a restart does not change the choice. The level is followed over rows that are evidence
-        (``armed``). ``beyond`` is the factor by which all sizes are larger outside of the fitted flights; None: 1.
-        Where y was ``corrected`` (None: nowhere), the residual is a jump of the data, not of a sensor, and is left out.
-        A restart at which the same flight is ``resumed`` (None: none is) keeps the restored washed-out faults. Faults
-        that were let go without having been seen to end are in the last result (:class:`Washout`).
+        x (n, K, states), fault (n, F) and residual (n, K, p) are the estimates of the observers from y (n, p). A row
+        that is neither measured nor a restart does not change the choice. The level is followed over rows that are
+        evidence (``armed``). ``beyond`` is the factor by which all sizes are larger outside of the fitted flights;
+        None: 1. Where y was ``corrected`` (None: nowhere), the residual is a jump of the data, not of a sensor, and is
+        left out. A restart at which the same flight is ``resumed`` (None: none is) keeps the restored washed-out
+        faults. Faults that were let go without having been seen to end are in the last result (:class:`Washout`).
         """
         cdef Py_ssize_t k, i, count = x.shape[0], states = x.shape[2], p = residual.shape[2], a = self.shown.shape[0]
-        if not count == fault.shape[0] == residual.shape[0]:
-            raise ValueError("x, fault and residual differ in length")
+        if not count == fault.shape[0] == residual.shape[0] == y.shape[0]:
+            raise ValueError("x, fault, residual and y differ in length")
         if not count == measured.shape[0] == complete.shape[0] == restart.shape[0] == armed.shape[0] or (
             beyond is not None and beyond.shape[0] != count or corrected is not None and corrected.shape[0] != count
             or resumed is not None and resumed.shape[0] != count
         ):
             raise ValueError("x, measured, complete, restart, armed, beyond, corrected and resumed differ in length")
-        if x.shape[1] != self.J.shape[0] or residual.shape[1] != self.J.shape[0] or p != self.residual.shape[1]:
-            raise ValueError("x and residual are not of the bank's hypotheses and outputs")
+        if x.shape[1] != self.J.shape[0] or residual.shape[1] != self.J.shape[0] or (
+            not p == self.residual.shape[1] == y.shape[1]
+        ):
+            raise ValueError("x, residual and y are not of the bank's hypotheses and outputs")
         if fault.shape[1] != self.fault.shape[0]:
             raise ValueError(f"{fault.shape[1]} faults, not {self.fault.shape[0]}")
         results = (
@@ -203,6 +219,7 @@ cdef class Choice:
                 self.clear(resumed is not None and resumed[k])
             level[k] = max(1.0, self.level)
             if measured[k] or restart[k]:
+                self.follow_calm(y, k)
                 self.update(fault, residual, k, complete[k] and not self.coasted,
                             1.0 if beyond is None else beyond[k], corrected is not None and corrected[k])
                 # Data that no hypothesis explains are no weather: they must not raise the level and hide themselves.
@@ -235,6 +252,7 @@ cdef class Choice:
         self.lasting_J[:] = 0.0
         self.remembered[:] = 0
         self.rival[:] = -1
+        self.still[:] = 0
         self.open = False
         for i in range(self.watched.shape[0]):
             (<EdgeDetector> self.detectors[i]).clear()
@@ -272,6 +290,27 @@ cdef class Choice:
         self.give_back(explained, beyond)
         self.watch_edges(fault, row, complete)
 
+    cdef void follow_calm(self, const double[:, :] y, Py_ssize_t row) noexcept:
+        """Count for how many rows no output was too large for a hypothesis that is believed in calm alone."""
+        cdef Py_ssize_t k, i
+        for k in range(self.still.shape[0]):
+            self.still[k] += 1
+            for i in range(self.calm.shape[1] if self.only_in_calm[k] else 0):
+                if fabs(y[row, i]) > self.calm[k, i] > 0.0:
+                    self.still[k] = 0
+
+    cdef bint is_barred(self, Py_ssize_t k) noexcept:
+        """Return whether a hypothesis is left out, as it is believed in calm alone."""
+        cdef Py_ssize_t i
+        if not self.only_in_calm[k] or k == self.believed:
+            return False
+        if self.still[k] < self.calm_rows:
+            return True
+        for i in range(self.compared.shape[0]):
+            if self.faults(self.compared[i]) == 1 and not self.lasts(k, self.compared[i], CALM_APART * self.penalty):
+                return True
+        return False
+
     cdef void choose(self) noexcept:
         """Choose the hypothesis to believe from J."""
         cdef Py_ssize_t i, k, following, more, group = -1, count = self.compared.shape[0]
@@ -280,7 +319,12 @@ cdef class Choice:
         self.open, self.least = False, INFINITY
         for i in range(count):
             k = self.compared[i]
-            self.least = min(self.least, self.J[k])
+            self.barred[k] = self.is_barred(k)
+            # What only a barred hypothesis explains is no weather, unless the vehicle turns.
+            if not self.barred[k] or self.still[k]:
+                self.least = min(self.least, self.J[k])
+            if self.barred[k]:
+                continue
             if self.J[k] > worst or isnan(self.J[k]):
                 worst = self.J[k]
                 if isnan(worst):
@@ -296,7 +340,7 @@ cdef class Choice:
             if group >= 0 and self.group[i] > group:
                 # Fewer faults explain the data: no need to look at hypotheses with more.
                 break
-            if self.J[k] <= limit:
+            if self.J[k] <= limit and not self.barred[k]:
                 group = self.group[i]
                 if self.delivers_more(k):
                     # Two or more actuators that deliver more are explained as others that deliver less, so only one
@@ -336,6 +380,8 @@ cdef class Choice:
         following = self.compared[0]
         for i in range(count):
             k = self.compared[i]
+            if self.barred[k]:
+                continue
             if self.J[k] < self.J[following] or (isnan(self.J[k]) and not isnan(self.J[following])):
                 following = k
         self.believed = following
@@ -360,7 +406,7 @@ cdef class Choice:
             told, nearest, best = TOLD if self.rival[out] >= 0 else 0.5 * TOLD, INFINITY, -1
             for i in range(self.compared.shape[0] if explained else 0):
                 k = self.compared[i]
-                if self.exchanged[self.believed, k] != out or self.J[k] > self.limit:
+                if self.exchanged[self.believed, k] != out or self.J[k] > self.limit or self.barred[k]:
                     continue
                 if self.faults(k) > 1 and self.delivers_more(k):
                     continue
@@ -384,7 +430,7 @@ cdef class Choice:
             apart = max(apart, SECOND_APART * self.floor)
         for i in range(self.compared.shape[0]):
             k, first = self.compared[i], self.spans[self.compared[i]]
-            if self.faults(k) != 2 or not (self.scaling[first] and self.scaling[first + 1]):
+            if self.barred[k] or self.faults(k) != 2 or not (self.scaling[first] and self.scaling[first + 1]):
                 continue
             loyalty = LOYALTY if k == self.believed else 1.0
             one, other = -self.fault[first], -self.fault[first + 1]

@@ -49,6 +49,8 @@ class BankRule:
     # healthy covariance of the mean of each of these residuals over level_s (p, p); empty: that of the residual, which
     # no mean of a stationary one exceeds
     lasting: tuple[NDArray[np.float64], ...] = ()
+    # largest size of each output, lately, with which each of these hypotheses is believed (p,), 0 for any; empty: any
+    calm: tuple[NDArray[np.float64], ...] = ()
     jump_s: float = 0.03  # time within which an estimate makes an edge, seconds
     """Chosen: three samples at 100 Hz, as long as the mean of an edge's levels needs to follow."""
     # root of the mean J of the hypothesis believed in healthy flight, 0 if the level of J is not followed, and the time
@@ -102,6 +104,9 @@ def read_isolation(table: Table, outputs: int) -> IsolationRule:
             hypotheses=hypotheses,
             covariances=tuple(_covariance(entry, outputs, "covariance") for entry in entries),
             lasting=tuple(_covariance(entry, outputs, "lasting") for entry in entries if entry.has("lasting")),
+            calm=tuple(
+                entry.matrix("calm", 1, outputs)[0] if entry.has("calm") else np.zeros(outputs) for entry in entries
+            ),
             edges=tuple(entry.boolean("edge", False) for entry in entries),
             jump_s=table.number("jump_s", 0.03, above=0.0),
             washouts=_washouts(table.table("washout_s"), {name for faults in hypotheses for name in faults}),
@@ -128,9 +133,12 @@ def isolation_table(rule: IsolationRule) -> dict[str, Any]:
     if isinstance(rule, IndependentRule):
         return {"method": "independent", "smoothing_s": rule.smoothing_s}
     lasting = [{"lasting": matrix.tolist()} for matrix in rule.lasting] or [{}] * len(rule.hypotheses)
+    calm = [{"calm": [sizes.tolist()]} if sizes.any() else {} for sizes in rule.calm] or [{}] * len(rule.hypotheses)
     hypotheses = [
-        {"faults": list(faults), **({"edge": True} if edge else {}), "covariance": covariance.tolist(), **mean}
-        for faults, covariance, edge, mean in zip(rule.hypotheses, rule.covariances, rule.edges, lasting, strict=True)
+        {"faults": list(faults), **({"edge": True} if edge else {}), "covariance": covariance.tolist(), **mean, **still}
+        for faults, covariance, edge, mean, still in zip(
+            rule.hypotheses, rule.covariances, rule.edges, lasting, calm, strict=True
+        )
     ]
     return {
         "method": "bank",

@@ -65,12 +65,14 @@ def bank_rule(
     washouts: Mapping[str, float] | None = None,
     jump_s: float = 0.03,
     level_s: float = LEVEL_S,
+    calm: Mapping[frozenset[str], NDArray[np.float64]] | None = None,
 ) -> BankRule:
     """Return the isolation stage of a bank, from the residuals of its hypotheses in healthy flight.
 
     ``edges`` names the faults that are watched for edges instead of compared; of each segment the first ``settle_s``
     is left out; ``noise`` (p,) of the outputs, where given, keeps a residual that a sensor fault takes up altogether
-    from counting for more than a tenth of it; ``washouts``, ``jump_s`` and ``level_s`` are the rule's.
+    from counting for more than a tenth of it; ``washouts``, ``jump_s``, ``level_s`` and ``calm``, by faults, are the
+    rule's.
 
     The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
     unexplained in healthy flight, with a margin. A hypothesis that contains another does not count in it: it
@@ -98,16 +100,20 @@ def bank_rule(
             for residual, W, edge in zip(residuals, whitening(covariances, fewest), watched, strict=True)
         ]
     )
+    still = tuple((calm or {}).get(frozenset(member.faults), np.zeros(len(covariances[0]))) for member in bank)
+    # the level is followed without those that are believed in calm alone
+    always = np.array([not sizes.any() for sizes in still])
     return BankRule(
         smoothing_s=smoothing_s,
         tolerance=_TOLERANCE,
         score_floor=MARGIN * float(scores[fewest].min(axis=0).max()),
-        usual_score=float(f"{np.sqrt(np.mean(scores.min(axis=0) ** 2)):.4g}"),
+        usual_score=float(f"{np.sqrt(np.mean(scores[always].min(axis=0) ** 2)):.4g}"),
         level_s=level_s,
         gain_penalty=_GAIN_PENALTY,
         hypotheses=tuple(member.faults for member in bank),
         covariances=covariances,
         lasting=lasting,
+        calm=still,
         edges=watched,
         washouts=washouts or {},
         jump_s=jump_s,

@@ -20,6 +20,7 @@ from gains.plants.plant import Plant
 from gains.synthesis.bank import compile_bank, design_bank
 from monitor.alarms.alarm import THRUST
 from monitor.display import size_text
+from monitor.estimation.bank import CALM_LEVELS
 from monitor.estimation.changes import ChangeRule
 from monitor.estimation.excitation import ExcitationRule
 from monitor.fitting.calibrate import LEVEL_SHARE, SETTLE_S, bank_rule
@@ -69,6 +70,7 @@ from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds
 from monitor.vehicles.multirotor.trim import (
     SLOW_COMMANDS_HZ,
     TRIM_HZ,
+    TURNED,
     choose_frame,
     identify_trim,
     slow_times,
@@ -161,6 +163,9 @@ vehicle as little as those of any other opposite two."""
 _OPPOSITE = 0.5
 """Largest effect of two motors together on roll and pitch, as a share of one motor's, for which they are opposite.
 Chosen: opposite motors of a quadrotor have none, neighbours 1.4 times that of one."""
+_CALM_S = 10.0
+"""Longest time without a turn for which opposite motors are waited for, where commands come slowly. Chosen: at 10 Hz it
+is 3 s; over radios with two commands a second it would be 15 s, and flights seldom go straight on for so long."""
 _SMALLEST_JUMP = 0.05
 """Smallest jump of a gyro that is worth an alarm, rad/s: an autopilot rides out a smaller one, and gusts make steps of
 that size."""
@@ -274,8 +279,15 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     plant = multirotor_plant(
         model, request.name, motors, doubt=identified.doubt, gyros=identified.gyros, unit=drive.unit
     )
-    gains = compile_bank(plant, design_bank(plant, model.rate_hz, together=pairs_of(motors, model.B, slow=slow)))
-    rule = bank_rule(gains, segments, edges=GYROS, level_s=LEVEL_SHARE * identified.times.slow_s)
+    level_s = LEVEL_SHARE * identified.times.slow_s
+    adjacent, opposite = pairs_of(motors, model.B)
+    calm = {}
+    if slow:
+        # They show in yaw alone.
+        opposite = opposite if len(plant.outputs) == len(_AXES) and CALM_LEVELS * level_s <= _CALM_S else []
+        calm = {frozenset(pair): np.array([0.0, 0.0, TURNED]) for pair in opposite}
+    gains = compile_bank(plant, design_bank(plant, model.rate_hz, together=(*adjacent, *opposite)))
+    rule = bank_rule(gains, segments, edges=GYROS, level_s=level_s, calm=calm)
     source = replace(identified.source, fitted_hz=fitted_rates(surveys, identified.source.channels))
     bare = Fitted(drive.observer, gains, source, rule, supply=drive.supply, plant=plant)
     channels = bare.profile().faults
@@ -328,20 +340,19 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     )
 
 
-def pairs_of(motors: Sequence[str], B: NDArray[np.float64], *, slow: bool) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of motors that are watched together, by their effects B (n, s) on rates, roll and pitch first.
+def pairs_of(motors: Sequence[str], B: NDArray[np.float64]) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Return the adjacent and the opposite motors that are watched together.
 
-    Two opposite motors that both lose thrust turn the vehicle only about the vertical. Its response there is known
-    least if commands come slowly: turns that were faster than any flown were taken for the loss of two such motors.
+    B (n, s) are their effects on rates, roll and pitch first.
     """
     if len(motors) != _PAIRED:
-        return ()
+        return [], []
     level = dict(zip(motors, B[:2].T, strict=True))
     apart = {
         (a, b): float(np.linalg.norm(level[a] + level[b])) > _OPPOSITE * float(np.linalg.norm(level[a]))
         for a, b in combinations(motors, 2)
     }
-    return tuple(pair for pair, turns in apart.items() if turns or not slow)
+    return [pair for pair, turns in apart.items() if turns], [pair for pair, turns in apart.items() if not turns]
 
 
 def _supply_text(supply: SupplyRule) -> str:

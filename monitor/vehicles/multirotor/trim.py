@@ -42,7 +42,7 @@ cut propellers (15 s each, docs/leaderboard.md): ticks of 0.2 s name a motor in 
 _SHOWS = 0.5
 """Share of the torque's variance that motion has to explain for p_1 to be taken from the flights as it is. With a
 smaller share, p_1 lies between the regressions of either on the other, which are further apart than a factor of two."""
-_TURNED = 0.3
+TURNED = 0.3
 """Least flown rate of yaw, rad/s, for which the yaw axis counts. A turn needs more torque than manoeuvres about other
 axes (p_1 is 13 to 32 times larger), and hovering does not show how much: at 0.3 rad/s^2 as much as a motor that lost
 15 %."""
@@ -120,7 +120,7 @@ def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> 
         Too little healthy flight.
     """
     usable = usable_segments(segments, rate_hz)
-    turned = max(float(np.abs(segment.y[:, 2]).max()) for segment in usable) > _TURNED and frame.effects[2].any()
+    turned = max(float(np.abs(segment.y[:, 2]).max()) for segment in usable) > TURNED and frame.effects[2].any()
     g = frame.effects[: 3 if turned else 2] / frame.effects.shape[1]
     change, middle = _motion(usable, rate_hz)
     lag = min(_LAGS, key=lambda h: sum(np.log(axis.error_std) for axis in _axes(usable, g, h, change, middle)))
