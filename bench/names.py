@@ -192,6 +192,7 @@ class Outcome:
     delay_s: float | None = None
     named: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
+    as_set: str = ""  # the first alarm's channel and the one that it says may be responsible instead
     cleared_s: float | None = None
     size: str = ""
     covered: float | None = None
@@ -384,10 +385,16 @@ def _deviation(errors: Sequence[Errors]) -> tuple[str, float | None]:
 
 
 def _judged(case: Case, group: str, one: Flight, events: Sequence[AlarmEvent], on_ms: int, off_ms: int) -> Outcome:
+    sets = {
+        (event.channel, event.vehicle_time_ms): event.instead
+        for event in events
+        if event.state == "raised" and event.instead in case.channels
+    }
     during = [spell for spell in _spells(events) if on_ms <= spell.raised_ms <= off_ms + AFTERMATH_S * 1000]
     ended = [event for event in events if event.state == "cleared" and event.message.startswith(EXPLAINED)]
     listed = {(event.channel, event.vehicle_time_ms) for event in ended}
-    right = [spell for spell in during if spell.channel in case.channels and spell.raised_ms <= off_ms]
+    named = [s for s in during if s.channel in case.channels or (s.channel, s.raised_ms) in sets]
+    right = [spell for spell in named if spell.raised_ms <= off_ms]
     ends = [spell.cleared_ms for spell in during]
     cleared = None if None in ends or not ends else (max(e for e in ends if e is not None) - off_ms) / 1e3
     last = {
@@ -405,9 +412,12 @@ def _judged(case: Case, group: str, one: Flight, events: Sequence[AlarmEvent], o
             dict.fromkeys(
                 spell.channel
                 for spell in during
-                if spell.channel not in case.channels and (spell.channel, spell.cleared_ms) not in listed
+                if spell not in named and (spell.channel, spell.cleared_ms) not in listed
             )
         ),
+        as_set=f"{right[0].channel} or {sets[key]}"
+        if right and (key := (right[0].channel, right[0].raised_ms)) in sets
+        else "",
         cleared_s=cleared,
         size=", ".join(sizes),
         texts=tuple(
@@ -537,6 +547,8 @@ def _cell(outcome: Outcome) -> str:
         return "not tried"
     missed = f"no alarm, reported: {outcome.said}" if outcome.said else "MISSED"
     parts = [missed if outcome.delay_s is None else f"{outcome.delay_s:.2f} s"]
+    if outcome.as_set:
+        parts[0] += f" as {outcome.as_set}"
     if outcome.others:
         parts.append(f"{'also' if outcome.delay_s is not None else 'but'} {', '.join(outcome.others)}")
     if outcome.size:
@@ -622,7 +634,8 @@ Channels with less than 90 % or more than 98 % over all kinds of recordings:
 
 BY_KIND = f"""A cell has, in this order:
 
-- the delay until the right name, and the other names raised until {AFTERMATH_S:g} s after the end;
+- the delay until the right name, or an alarm that says it is one of two, and the other names raised until
+  {AFTERMATH_S:g} s after the end;
 - the last size shown during the fault, and its truth;
 - the share of estimates, from 5 s after the onset on, with the truth within twice their published standard deviation
   (95 % would be right);

@@ -557,6 +557,7 @@ class ObserverChain:
             "growth": run.growth,
             "onset_ns": run.onset_ns,
             "change_sd": run.sd,
+            "instead": run.instead,
         }
 
 
@@ -621,6 +622,14 @@ def alarm_events(runs: Sequence[ChainRun], excuses: Excuses) -> list[AlarmEvent]
         events.append(event)
         excuses.follow(event)
         events.extend(excuses.consequences(event))
+        if code == RAISED and alarm < len(run.faults):
+            for other in run.alarms:
+                if other.state.active and other.state.rival == run.faults[alarm]:
+                    # The alarm said that it may be this one instead.
+                    ended = other.withdraw(
+                        event.time_ns, event.vehicle_time_ms * 1_000_000, f"explained by {event.channel}"
+                    )
+                    events.extend(excuses.consequence(ended))
 
     walk([run.rows for run in runs], on_event)
     return events

@@ -154,6 +154,20 @@ def test_a_motor_that_fades_is_named_with_its_growth(rule: ChangeRule, seed: int
     assert run.size[rows[0]] == pytest.approx(-growth * (rows[0] / HZ - 4.0), rel=0.15)
 
 
+@pytest.mark.parametrize("motor", range(4))
+def test_a_neighbour_that_is_named_for_a_motor_that_delivers_more_comes_with_that_motor(
+    rule: ChangeRule, motor: int
+) -> None:
+    for loss in (-0.1, 0.1):
+        flown = flight(np.random.default_rng(5), 4.3, loss=loss, motor=motor, at_s=4.0)
+        run = stage(rule).run(flown.samples, flown.armed, np.zeros((len(flown), 4)))
+        rows = np.flatnonzero(run.nats >= 0.5 * CLIP**2)
+        assert len(rows) > 10
+        wrong = rows[run.named[rows] != motor]
+        assert (run.instead[wrong] == motor).all()
+        assert len(wrong) == 0 or loss < 0.0
+
+
 def test_gusts_and_manoeuvres_reach_no_alarm(rule: ChangeRule) -> None:
     for seed, turn in enumerate((0.0, 0.4, 0.8)):
         assert not len(seen(rule, flight(np.random.default_rng(50 + seed), 40.0, turn=turn), 0.5 * CLIP**2))
@@ -207,7 +221,10 @@ def test_samples_name_what_has_the_nats_they_ask_for_and_nothing_else(
     run = stage(rule).run(flown.samples, flown.armed, nobody, asked)
     wanted = (everything.named >= 0) & (everything.nats >= asked)
     for one, other, nothing in zip(
-        run[:-1], everything[:-1], (-1, 0.0, 0.0, 0.0, 0.0, flown.samples.vehicle_time_ns), strict=True
+        (*run[:-2], run.instead),
+        (*everything[:-2], everything.instead),
+        (-1, 0.0, 0.0, 0.0, 0.0, flown.samples.vehicle_time_ns, -1),
+        strict=True,
     ):
         np.testing.assert_array_equal(one, np.where(wanted, other, nothing))
     np.testing.assert_array_equal(run.noise, everything.noise)

@@ -67,6 +67,7 @@ class ChainRows:
         sd: NDArray[np.float64] | None = None,
         command: NDArray[np.float64] | None = None,
         rival: NDArray[np.intp] | None = None,
+        instead: NDArray[np.intp] | None = None,
     ) -> None: ...
 
 def nats_asked(

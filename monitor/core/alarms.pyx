@@ -67,9 +67,10 @@ cdef int64_t LONG_AGO = -(1 << 62)
 
 cdef struct Change:
     # A sudden change of one channel: its log-likelihood ratio in nats (zero: none); its size and the standard deviation
-    # of it; how much the size grows per second.
+    # of it; how much the size grows per second; the fault that may be responsible in its place, -1 for none.
     double nats, size, sd, growth
     int64_t onset_ns
+    Py_ssize_t rival
 
 
 cdef class Trend:
@@ -217,8 +218,7 @@ cdef class AlarmState:
         cdef int event = self.event_of(now, restart, evidence, speaking, scale, sd, command, rival, change)
         if event == C_RAISED or event == C_UPDATED:
             self.reported_command = command
-            # The test for sudden changes names no channel that another one may be in place of.
-            self.rival = -1 if event == C_RAISED and self.sudden else rival
+            self.rival = change.rival if event == C_RAISED and self.sudden else rival
         return event
 
     cdef int event_of(self, int64_t now, bint restart, double evidence, bint speaking, double scale, double sd,
@@ -415,7 +415,8 @@ cdef class ChainRows:
         How many times its sizes evidence of each of the first m alarms has to reach; 1 where it is left out.
     changed : intp (n,), optional
         The alarm of which a sudden change is named at each row, -1 for none; with its ``nats``, ``size`` and
-        ``growth`` a second, float64, and ``onset_ns``, int64 (n,), and the ``change_sd`` of its size.
+        ``growth`` a second, float64, and ``onset_ns``, int64 (n,), the ``change_sd`` of its size, and the fault that
+        may be responsible ``instead``, -1 for none.
     sd : float64 (n, m), optional
         Standard deviation of the evidence of the first m alarms, not a number where it is not known.
     command : float64 (n, m), optional
@@ -434,15 +435,17 @@ cdef class ChainRows:
     cdef const double[:] nats, size, growth, change_sd
     cdef const int64_t[:] onset_ns
     cdef const Py_ssize_t[:, :] rival
+    cdef const Py_ssize_t[:] instead
 
     def __init__(self, alarms, position, times_ns, restart, evidence, speaking, scale=None, changed=None, nats=None,
-                 size=None, growth=None, onset_ns=None, change_sd=None, sd=None, command=None, rival=None):
+                 size=None, growth=None, onset_ns=None, change_sd=None, sd=None, command=None, rival=None,
+                 instead=None):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
         self.restart, self.evidence, self.speaking = restart, evidence, speaking
         self.scale, self.sd, self.command = scale, sd, command
         self.changed, self.nats, self.size, self.growth, self.onset_ns = changed, nats, size, growth, onset_ns
-        self.change_sd, self.rival = change_sd, rival
+        self.change_sd, self.rival, self.instead = change_sd, rival, instead
 
     cdef void supersede(self, Py_ssize_t alarm) noexcept:
         """Clear the sooner the alarms of sudden changes of other channels that no estimate shows: this one is the
@@ -453,7 +456,7 @@ cdef class ChainRows:
                 (<AlarmState>self.alarms[i]).unseen_ns = 0
 
     cdef Change change_of(self, Py_ssize_t row, Py_ssize_t alarm) noexcept:
-        cdef Change change = Change(0.0, 0.0, NAN, 0.0, 0)
+        cdef Change change = Change(0.0, 0.0, NAN, 0.0, 0, -1)
         cdef Py_ssize_t i
         cdef AlarmState other
         if self.changed is None or self.changed[row] != alarm:
@@ -465,7 +468,7 @@ cdef class ChainRows:
                 return change
         change = Change(
             self.nats[row], self.size[row], NAN if self.change_sd is None else self.change_sd[row], self.growth[row],
-            self.onset_ns[row])
+            self.onset_ns[row], -1 if self.instead is None else self.instead[row])
         return change
 
 

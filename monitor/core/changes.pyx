@@ -217,6 +217,8 @@ cdef class ChangeTest:
     cdef double[::1] bound
     cdef Py_ssize_t[::1] best_age
     cdef Py_ssize_t leading[2]
+    # The fault that would explain the latest change as well, if actuators failed either way alike; -1 for none.
+    cdef Py_ssize_t instead
     cdef Py_ssize_t begun, newest, commands
     # Whether each output was measured in the row before, and for how many rows its innovation has been known.
     cdef uint8_t[::1] has_y
@@ -344,7 +346,9 @@ cdef class ChangeTest:
         cdef Py_ssize_t k, i, owner, count = u.shape[0]
         cdef double sign = -1.0 if self.m else 1.0
         cdef bint known
-        results = np.empty(count, np.intp), *np.zeros((4, count)), np.empty(count, np.int64), np.empty((count, self.p))
+        results = (np.empty(count, np.intp), *np.zeros((4, count)), np.empty(count, np.int64),
+                   np.empty((count, self.p)), np.full(count, -1, np.intp))
+        cdef Py_ssize_t[::1] instead = results[7]
         cdef double[:, ::1] noise = results[6]
         cdef Py_ssize_t[::1] named = results[0]
         cdef double[::1] nats = results[1], size = results[2], growth = results[3], sd = results[4]
@@ -372,6 +376,7 @@ cdef class ChangeTest:
                 named[k], nats[k], sd[k] = self.faults[owner], found.nats, sqrt(found.variance)
                 size[k], growth[k] = sign * found.size, sign * found.growth
                 onset_ns[k] -= <int64_t>rint(found.age * self.step_ns)
+                instead[k] = self.instead
                 if self.driven and found.age >= self.window - 2 and 2.0 * found.nats >= self.clip * self.clip:
                     # The onset leaves the window: what the fault left in the rows after it would pass for another one.
                     # An alarm needs some clip^2 nats, so a fault of half as many leaves nothing that could raise one.
@@ -675,7 +680,7 @@ cdef class ChangeTest:
     cdef Py_ssize_t judge(self, const double[:] believed, double asked, Fitted* chosen) noexcept:
         """Return the fault whose change explains the window best, by MARGIN and with the nats asked, else -1."""
         cdef Py_ssize_t k, h, owner, best = -1, runner = -1
-        cdef double nats, first = -1e300, second = -1e300, unexplained, axes, grown
+        cdef double nats, first = -1e300, second = -1e300, unexplained, axes, grown, nats_of_best
         cdef Fitted found, every
         if not self.may_reach(asked):
             return -1
@@ -699,6 +704,7 @@ cdef class ChangeTest:
             self.leading[0], self.leading[1] = best, runner
         if best < 0 or self.owner[best] >= self.faults.shape[0] or first - second < MARGIN or chosen.nats < asked:
             return -1
+        nats_of_best = chosen.nats
         unexplained = self.energy[self.newest + chosen.age] + self.settled_energy - chosen.nats
         axes = self.axes[self.newest + chosen.age] + self.settled_axes
         if unexplained > UNEXPLAINED_SHARE * chosen.nats + NOISE_OF_AXIS * axes:
@@ -720,4 +726,16 @@ cdef class ChangeTest:
             chosen.variance = every.variance + (every.size - chosen.size) * (every.size - chosen.size)
         if best < 3 * self.m and chosen.size > LARGEST_LOSS:
             return -1
+        self.instead = self.find_instead(self.owner[best], nats_of_best - MARGIN)
         return self.owner[best]
+
+    cdef Py_ssize_t find_instead(self, Py_ssize_t named, double least) noexcept:
+        """Return the other actuator whose sudden change has so many nats without those taken from it, -1 for none."""
+        cdef Py_ssize_t h, other = -1
+        cdef Fitted found
+        for h in range(2 * self.m):
+            if self.owner[h] != named and self.bound[h] >= least:
+                found = self.fit(h)
+                if found.nats >= least:
+                    least, other = found.nats, self.faults[self.owner[h]]
+        return other

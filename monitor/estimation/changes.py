@@ -85,6 +85,8 @@ class ChangeRun(NamedTuple):
     sd: NDArray[np.float64]
     onset_ns: NDArray[np.int64]  # vehicle time of its onset (n,)
     noise: NDArray[np.float64]  # variance of each judged output's noise relative to that of healthy flights (n, p)
+    # fault that would explain it as well if actuators were as likely to deliver more (n,), -1 for none
+    instead: NDArray[np.intp]
 
 
 def read_changes(table: Table, outputs: Sequence[str]) -> ChangeRule:
