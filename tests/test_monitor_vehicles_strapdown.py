@@ -383,6 +383,12 @@ def test_a_magnetic_field_that_comes_seldom_is_followed_by_the_gyro_until_it_is_
         assert disagreement(*truth.transformed(raw, {"compass_hold_s": hold}))["heading"] > 1.0
 
 
+def test_a_magnetometer_that_reads_zeros_for_a_while_has_no_direction_and_divides_nothing() -> None:
+    raw = truth.signals(10.0)
+    raw[200:400, MAG] = 0.0
+    assert disagreement(*truth.transformed(raw))["gps_north"] < 0.05
+
+
 def test_an_imu_whose_values_all_stay_the_same_is_not_measured() -> None:
     raw = truth.signals(8.0)
     raw[300:500, :9] = raw[300, :9]

@@ -28,9 +28,10 @@ cdef inline double along(const double* R, const double* v, int axis) noexcept:
 cdef inline double field_rate(const double* R, const double* rate, const double* field) noexcept:
     """Return the rotation about the vertical, rad/s, by which a field's direction is off per second of delay."""
     cdef double[3] turned
-    cdef double north = along(R, field, 0), east = along(R, field, 1)
+    cdef double north = along(R, field, 0), east = along(R, field, 1), square = north * north + east * east
     cross(rate, field, turned)
-    return (east * along(R, turned, 0) - north * along(R, turned, 1)) / (north * north + east * east)
+    # A vertical field, and the zeros of a magnetometer that is not there, have no direction.
+    return (east * along(R, turned, 0) - north * along(R, turned, 1)) / square if square > 0.0 else 0.0
 
 
 cdef enum:
