@@ -339,7 +339,7 @@ cdef class AlarmState:
         cdef double shown, ahead, moves, expected
         cdef bint worsens, due, moved, sharper, kept
         # The size of evidence that only a mean shows is the mean.
-        self.creeping = self.creeping and fabs(evidence) < scale * self.threshold
+        self.creeping = self.creeping and fabs(evidence) < (scale if self.lasts else 1.0) * self.threshold
         shown = evidence
         if self.creeping:
             shown = self.whole_size if self.lasts else self.mean_size
