@@ -34,8 +34,8 @@ from monitor.estimation.effectiveness import EffectivenessRule, EffectivenessRun
 from monitor.estimation.envelope import EnvelopeStage
 from monitor.estimation.estimator import make_estimator
 from monitor.estimation.excitation import ExcitationStage
-from monitor.estimation.isolation_rule import edge_faults, keep_share
-from monitor.estimation.uncertainty import Uncertainty
+from monitor.estimation.isolation_rule import BankRule, edge_faults, keep_share
+from monitor.estimation.uncertainty import LAG_S, Uncertainty
 from monitor.event import AlarmEvent
 from monitor.profile import FaultChannel, ObserverProfile
 from monitor.sampling.gate import GatedSampler, GateRule
@@ -252,7 +252,9 @@ class ObserverChain:
         self.sampler, self.gate = self._sampler.sampler, self._sampler.gate
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(observer, profile.isolation, names, thresholds)
-        self._uncertainty = Uncertainty(observer, profile.model, names, profile.spread)
+        isolation = profile.isolation
+        lag_s = LAG_S if isinstance(isolation, BankRule) else isolation.smoothing_s
+        self._uncertainty = Uncertainty(observer, profile.model, names, profile.spread, lag_s)
         self._since_measured = SinceMeasured()
         self._command = CommandUnits(profile)
         self._effectiveness = EffectivenessStage(

@@ -11,7 +11,7 @@ not have, so the standard deviation of an alarm's size, and of the estimate of a
 
     sqrt(lambda P + way^2),    way = max(0, |f(t) - f(t - h)| - 2 sd_h) / (e^(h / T) - 1),
 
-with h = max(LAG_S, MOVED T), f the size, lambda the level of this run's residuals (1 in healthy flight, larger in
+with h = max(lag, MOVED T), f the size, lambda the level of this run's residuals (1 in healthy flight, larger in
 gusts), and way what is still missing of f, as its movement tells: an estimate that is behind its fault by a mean delay
 T approaches it as e^(-t / T), so after a step it misses e^(h / T) - 1 times less than it moved during the last h, and
 behind a ramp T times the slope. Noise, which the observer alone smooths, moves it by sd_h = sqrt(2 (1 - e^(-h /
@@ -21,7 +21,7 @@ Nothing grows with f itself: where a motor delivers less the model's errors are 
 command, and faults of sensors add. On recorded losses of motors the truth was within two of these standard deviations
 97 to 100 % of the time (docs/sizes.md).
 
-T = T_own + LAG_S / log 2. T_own is the mean delay by the error system, of a fault that moves the plant's states: a
+T = T_own + lag / log 2. T_own is the mean delay by the error system, of a fault that moves the plant's states: a
 second of slow commands, 2 to 6 s of a gyro's bias that an angle shows.
 """
 
@@ -55,7 +55,8 @@ class Uncertainty:
     """Standard deviations of the fault estimates of one observer or bank, designed for a plant.
 
     ``faults`` are all fault channels (a,) in the order of the estimates, ``scale`` has factors on the standard
-    deviations of the error system, for some of them.
+    deviations of the error system, for some of them. ``lag_s`` is :data:`LAG_S`, or the smoothing alone where the model
+    has all other lags.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class Uncertainty:
         plant: Plant | None,
         faults: Sequence[str],
         scale: Mapping[str, float] = MappingProxyType({}),
+        lag_s: float = LAG_S,
     ) -> None:
         self._covariance: ErrorCovariance | None = None
         self._channels = len(faults)
@@ -73,8 +75,8 @@ class Uncertainty:
         own_s = np.zeros(len(faults))
         if systems is not None:
             own_s += [systems[k].lag_s[hypotheses[k].faults.index(name)] for name, k in zip(faults, owned, strict=True)]
-        delay_s = own_s + LAG_S / np.log(2.0)
-        rows = np.maximum(1, np.rint(np.maximum(LAG_S, MOVED * delay_s) * observer.rate_hz)).astype(np.intp)
+        delay_s = own_s + lag_s / np.log(2.0)
+        rows = np.maximum(1, np.rint(np.maximum(lag_s, MOVED * delay_s) * observer.rate_hz)).astype(np.intp)
         moved_s = rows / observer.rate_hz
         still = np.exp(-moved_s / np.maximum(own_s, 1e-3 * moved_s))
         self._of_sizes = SizeErrors(rows, 1.0 / np.expm1(moved_s / delay_s), np.sqrt(2.0 * (1.0 - still)))
