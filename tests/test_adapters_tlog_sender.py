@@ -55,17 +55,6 @@ def test_a_link_receives_what_the_log_holds(port: int) -> None:
     assert contents(received) == expected
 
 
-def test_a_part_of_the_log_is_sent(port: int) -> None:
-    first = next(iter(read_recording(FLIGHT))).received_ns
-    part = [m for m in read_recording(FLIGHT) if 1.0 <= (m.received_ns - first) / 1e9 < 1.5]
-    with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
-        assert send_tlog(FLIGHT, f"udp:127.0.0.1:{port}", 50.0, start_s=1.0, stop_s=1.5) == len(part)
-        received: list[Message] = []
-        while len(received) < len(part):
-            received += [*each(link.receive(0.2))]
-    assert contents(received) == contents(part)
-
-
 def test_another_process_sends_from_the_command_line(port: int) -> None:
     command = [
         sys.executable,
@@ -77,7 +66,7 @@ def test_another_process_sends_from_the_command_line(port: int) -> None:
         "20",
     ]
     with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
-        sender = subprocess.Popen([*command, "--stop", "2"], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+        sender = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
         received: list[Message] = []
         while len(received) < 1_000:
             received += [*each(link.receive(0.2))]

@@ -109,9 +109,8 @@ def open_byte_link(url: str, may_send: bool = False) -> ByteLink:
         return _TcpClient(address)
     if kind == "tcpin":
         return _TcpServer(url, address)
-    if kind == "udpout":
-        return _Udp(_towards(url, address), connected=True)
-    return _Udp(_bound(url, address, socket.SOCK_DGRAM), connected=False)
+    connected = kind == "udpout"
+    return _Udp(_opened(url, address, socket.SOCK_DGRAM, connected=connected), connected)
 
 
 Address = tuple[socket.AddressFamily, Any]
@@ -149,28 +148,19 @@ def udp_address(url: str, said: str = "") -> Address:
     return resolve(said or url, where)
 
 
-def _bound(url: str, address: Address, kind: socket.SocketKind) -> socket.socket:
-    listener = socket.socket(address[0], kind)
+def _opened(url: str, address: Address, kind: socket.SocketKind, *, connected: bool = False) -> socket.socket:
+    """Return a socket that is bound to an address, or connected to it."""
+    opened = socket.socket(address[0], kind)
     try:
         if kind == socket.SOCK_STREAM:
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address[1])
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        (opened.connect if connected else opened.bind)(address[1])
     except OSError as error:
-        listener.close()
-        raise TelemetryError(f"{url}: cannot listen there: {error.strerror}") from error
-    listener.setblocking(False)
-    return listener
-
-
-def _towards(url: str, address: Address) -> socket.socket:
-    out = socket.socket(address[0], socket.SOCK_DGRAM)
-    try:
-        out.connect(address[1])
-    except OSError as error:
-        out.close()
-        raise TelemetryError(f"{url}: there is no route to that address: {error.strerror}") from error
-    out.setblocking(False)
-    return out
+        opened.close()
+        why = "there is no route to that address" if connected else "cannot listen there"
+        raise TelemetryError(f"{url}: {why}: {error.strerror}") from error
+    opened.setblocking(False)
+    return opened
 
 
 def _send(connection: socket.socket, data: bytes) -> None:
@@ -300,7 +290,7 @@ class _TcpServer(_Tcp):
 
     def __init__(self, url: str, address: Address) -> None:
         super().__init__()
-        self._listener = _bound(url, address, socket.SOCK_STREAM)
+        self._listener = _opened(url, address, socket.SOCK_STREAM)
         self._listener.listen(1)
 
     def read(self, timeout_s: float) -> list[Piece]:

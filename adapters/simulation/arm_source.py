@@ -9,21 +9,19 @@ and ``data[5]`` (f_s). Floats have 32 bits there. Zenoh: ``{"time_ns", "u": [1],
 from __future__ import annotations
 
 import json
-import socket
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from adapters.batch import messages
 from adapters.errors import TelemetryError
-from adapters.mavlink.byte_link import udp_address
 from adapters.mavlink.heartbeat import ARMED, AUTOPILOT
 from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
 from adapters.mavlink.packets import PacketList, PacketScanner
 from adapters.message import SECOND_NS, Message
 from adapters.simulation.arm import ArmRun
-from adapters.simulation.pacing import paced
+from adapters.simulation.pacing import paced, send_paced
 
 SYSTEM = 1
 """Ids of the simulated vehicle: the defaults of autopilots."""
@@ -89,13 +87,7 @@ def arm_payloads(run: ArmRun) -> Iterator[tuple[int, bytes]]:
 
 def send_arm(run: ArmRun, url: str, speed: float = 1.0) -> int:
     """Send the run as MAVLink to ``udpout:HOST:PORT`` at ``speed`` times real time; return the number of packets."""
-    family, address = udp_address(url)
-    count = 0
-    with socket.socket(family, socket.SOCK_DGRAM) as out:
-        for packet in paced(arm_packets(run), speed):
-            out.sendto(packet, address)
-            count += 1
-    return count
+    return send_paced(arm_packets(run), url, speed)
 
 
 def publish_arm(
@@ -117,14 +109,10 @@ def publish_arm(
         except zenoh.ZError as error:
             raise TelemetryError(f"'{key}' is not a Zenoh key to publish under") from error
         until = time.monotonic() + _SUBSCRIBER_S
-        while not _has_subscriber(publisher) and time.monotonic() < until:
+        # Zenoh's type stub calls the status a bool; it is an object.
+        while not cast("Any", publisher.matching_status).matching and time.monotonic() < until:
             time.sleep(0.01)
         for payload in paced(arm_payloads(run), speed):
             publisher.put(payload, encoding=zenoh.Encoding.APPLICATION_JSON)
             count += 1
     return count
-
-
-def _has_subscriber(publisher: Any) -> bool:
-    # Zenoh's type stub calls it a bool; it is an object.
-    return bool(publisher.matching_status.matching)

@@ -1,13 +1,15 @@
-"""Yields items when they are due, as a live source would."""
+"""Yields items when they are due, as a live source would, and sends packets so."""
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Iterable, Iterator
 from math import inf
 from typing import TypeVar
 
 from adapters.errors import UsageError
+from adapters.mavlink.byte_link import udp_address
 
 T = TypeVar("T")
 
@@ -35,3 +37,14 @@ def paced(items: Iterable[tuple[int, T]], speed: float, catch_up_s: float = inf)
         elif wait_ns < -1e9 * catch_up_s:
             start = time_ns, time.monotonic_ns()
         yield item
+
+
+def send_paced(packets: Iterable[tuple[int, bytes]], url: str, speed: float) -> int:
+    """Send packets to ``udp:HOST:PORT`` when they are due, as :func:`paced` says; return their number."""
+    family, address = udp_address(url)
+    count = 0
+    with socket.socket(family, socket.SOCK_DGRAM) as out:
+        for packet in paced(packets, speed):
+            out.sendto(packet, address)
+            count += 1
+    return count

@@ -4,57 +4,29 @@ from __future__ import annotations
 
 import argparse
 import os
-import socket
 import sys
 from collections.abc import Iterator, Sequence
 
 from adapters.command_line import option
 from adapters.errors import FauioError
 from adapters.logs.tlog import TlogReader
-from adapters.mavlink.byte_link import udp_address
 from adapters.mavlink.mavlink_message import MAGIC_2, mavlink_types, message_number, packet_sender, packet_signed
-from adapters.simulation.pacing import paced
+from adapters.simulation.pacing import send_paced
 
 
-def send_tlog(
-    path: str | os.PathLike[str],
-    url: str,
-    speed: float = 1.0,
-    *,
-    start_s: float = 0.0,
-    stop_s: float | None = None,
-    renumber: bool = False,
-) -> int:
-    """Send a log's packets, unchanged, one per datagram, at ``speed`` times real time; return their number.
+def send_tlog(path: str | os.PathLike[str], url: str, speed: float = 1.0, *, renumber: bool = False) -> int:
+    """Send a log's packets, unchanged, to ``udp:HOST:PORT`` at ``speed`` times real time; return their number.
 
-    They are sent to ``udp:HOST:PORT``. ``start_s`` and ``stop_s`` delimit the part of the log to send, seconds after
-    its first packet. With ``renumber`` the sequence numbers are consecutive: packets that were left out of the log on
-    purpose do not count as lost on the link.
+    With ``renumber`` the sequence numbers are consecutive: packets that were left out of the log on purpose do not
+    count as lost on the link.
 
     Raises
     ------
     TelemetryError
         The log cannot be read, the URL is not understood, or the speed is not positive.
     """
-    family, address = udp_address(url)
-    count = 0
-    with socket.socket(family, socket.SOCK_DGRAM) as out:
-        packets = _part(path, start_s, stop_s)
-        for packet in paced(_renumbered(packets) if renumber else packets, speed):
-            out.sendto(packet, address)
-            count += 1
-    return count
-
-
-def _part(path: str | os.PathLike[str], start_s: float, stop_s: float | None) -> Iterator[tuple[int, bytes]]:
-    first_ns: int | None = None
-    for received_ns, packet in TlogReader(path).packets():
-        first_ns = received_ns if first_ns is None else first_ns
-        since_s = (received_ns - first_ns) / 1e9
-        if stop_s is not None and since_s >= stop_s:
-            return
-        if since_s >= start_s:
-            yield received_ns, packet
+    packets = TlogReader(path).packets()
+    return send_paced(_renumbered(packets) if renumber else packets, url, speed)
 
 
 def _renumbered(packets: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
@@ -78,12 +50,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("log", help="telemetry log (.tlog, .tlog.xz, .tlog.gz)")
     parser.add_argument("to", help="udp:HOST:PORT")
     parser.add_argument("--speed", type=float, default=1.0, help="times real time (default 1)")
-    option(parser, "--start S", "seconds to leave out", float, default=0.0)
-    option(parser, "--stop S", "second to stop at", float)
     option(parser, "--renumber", "give packets consecutive sequence numbers")
     args = parser.parse_args(argv)
     try:
-        count = send_tlog(args.log, args.to, args.speed, start_s=args.start, stop_s=args.stop, renumber=args.renumber)
+        count = send_tlog(args.log, args.to, args.speed, renumber=args.renumber)
     except FauioError as error:
         print(f"tlog_sender: {error}", file=sys.stderr)  # noqa: T201 - the command line speaks here
         return error.exit_status
