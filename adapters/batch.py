@@ -200,17 +200,12 @@ def cut(batch: Batch, start: int, stop: int) -> Batch:
 
 def rows_of(columns: Columns, part: slice | NDArray[np.intp]) -> Columns:
     """Return the messages of columns at the given rows."""
-    return columns._replace(
-        position=columns.position[part],
-        received_ns=columns.received_ns[part],
-        fields=_rows(columns.fields, part),
-    )
-
-
-def _rows(fields: Fields, part: slice | NDArray[np.intp]) -> Fields:
-    if isinstance(fields, RecordFields):
-        return RecordFields(fields.record[part], fields.places)
-    return {name: values[part] for name, values in fields.items()}
+    fields: Fields
+    if isinstance(columns.fields, RecordFields):
+        fields = RecordFields(columns.fields.record[part], columns.fields.places)
+    else:
+        fields = {name: values[part] for name, values in columns.fields.items()}
+    return columns._replace(position=columns.position[part], received_ns=columns.received_ns[part], fields=fields)
 
 
 def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch:
@@ -322,12 +317,7 @@ def _one_after_the_other(parts: Sequence[Fields]) -> Fields:
 def _in_order(columns: Columns) -> Columns:
     if (np.diff(columns.position) > 0).all():
         return columns
-    order = np.argsort(columns.position)
-    return columns._replace(
-        position=columns.position[order],
-        received_ns=columns.received_ns[order],
-        fields={name: values[order] for name, values in columns.fields.items()},
-    )
+    return rows_of(columns, np.argsort(columns.position))
 
 
 def pack(received: Sequence[Message]) -> Batch:

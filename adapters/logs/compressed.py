@@ -11,6 +11,7 @@ from typing import Any, BinaryIO
 
 from adapters.errors import TelemetryError
 
+COMPRESSED = (".xz", ".gz")
 _PIECE_BYTES = 1 << 16
 """Bytes of a piece. Chosen: small for memory and cache, and thousands a second are read."""
 # A decompressor that finds damage loses what it has decompressed of the piece: pieces are kept small.
@@ -49,7 +50,7 @@ class CompressedFile:
         except OSError as error:
             raise TelemetryError(f"{self._path}: cannot be opened: {error.strerror}") from error
         with file:
-            if self._path.suffix.lower() not in (".xz", ".gz"):
+            if self._path.suffix.lower() not in COMPRESSED:
                 while piece := _read(file, _PIECE_BYTES):
                     yield piece
                 return
@@ -67,7 +68,11 @@ class CompressedFile:
         try:
             while piece := _read(file, _COMPRESSED_BYTES):
                 while piece:
-                    stream = stream or self._decompressor()
+                    stream = stream or (
+                        lzma.LZMADecompressor(memlimit=_DECOMPRESSOR_BYTES)
+                        if self._path.suffix.lower() == ".xz"
+                        else zlib.decompressobj(_AUTO_GZIP)
+                    )
                     yield stream.decompress(piece)
                     piece = b""
                     if stream.eof:
@@ -77,11 +82,6 @@ class CompressedFile:
             self.damaged = True
         else:
             self.damaged = stream is not None
-
-    def _decompressor(self) -> Any:
-        if self._path.suffix.lower() == ".xz":
-            return lzma.LZMADecompressor(memlimit=_DECOMPRESSOR_BYTES)
-        return zlib.decompressobj(_AUTO_GZIP)
 
 
 def _read(file: BinaryIO, count: int) -> bytes:

@@ -143,7 +143,8 @@ class DataflashReader(OnboardLogReader):
         """Read a definition from a record; return whether it is one."""
         if form is self._formats[_head(_FORMAT_KIND)]:
             return self._define(form, fields)
-        defined = self._formats.get(_head(_whole(fields.get("FmtType"))))
+        number = fields.get("FmtType")
+        defined = self._formats.get(_head(number)) if type(number) is int else None
         place = str(fields.get("UnitIds", "")).find(_INSTANCE)
         if defined is not None and 0 <= place < len(defined.columns):
             instance = defined.columns[place]
@@ -248,8 +249,3 @@ def _texts(values: NDArray[np.void]) -> FieldValues:
 
 def _raw(values: NDArray[np.void]) -> FieldValues:
     return [bytes(value).decode("latin-1") for value in values.tolist()]
-
-
-def _whole(value: Any) -> int:
-    """Return a whole number; 0 if there is none."""
-    return value if type(value) is int else 0

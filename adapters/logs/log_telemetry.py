@@ -53,7 +53,7 @@ def telemetry(
     mapping: LogMapping,
     only: Collection[str] | None,
     anew: Callable[[Collection[str]], Iterable[Batch]],
-    chosen: Callable[[MessageRule], object] = lambda _: None,
+    chosen: dict[str, str] | None = None,
 ) -> Iterator[Batch]:
     """Return a log's records and, after each, the MAVLink messages that it makes.
 
@@ -62,10 +62,10 @@ def telemetry(
 
     ``only`` names records and MAVLink messages wanted, None wants all; messages of other sources pass. ``anew`` reads
     the log once more, only records of some names: the first record of arming or disarming shows whether the vehicle is
-    armed at the begin of the log, and the whole log shows which of a topic's instances moves. ``chosen`` is called with
-    each rule by which messages are filled.
+    armed at the begin of the log, and the whole log shows which of a topic's instances moves. ``chosen`` gets the name
+    of the record that fills each message.
     """
-    making = _Telemetry(mapping, only, anew, chosen)
+    making = _Telemetry(mapping, only, anew, {} if chosen is None else chosen)
     remaining = iter(batches)
     ahead: list[Batch] = []
     for batch in remaining:
@@ -87,7 +87,7 @@ class _Telemetry:
         mapping: LogMapping,
         only: Collection[str] | None,
         anew: Callable[[Collection[str]], Iterable[Batch]],
-        chosen: Callable[[MessageRule], object],
+        chosen: dict[str, str],
     ) -> None:
         rules = {name: tried for name, tried in mapping.rules.items() if only is None or name in only}
         self._only = only
@@ -185,7 +185,7 @@ class _Telemetry:
                 self._fillers[-1].begin({field.name: begin for field in rule.fields if field.before})
 
     def _filler(self, rule: MessageRule) -> _Filler:
-        self._chosen(rule)
+        self._chosen[rule.message] = rule.topic
         relation = self._relations.most_common(1)
         return _Filler(rule, len(self._fillers), relation[0][0] if relation else None)
 
@@ -445,7 +445,7 @@ class _Filler:
         filled = self._between(waiting.rows(rows), pairs)
         self._waiting = waiting.rows(slice(count, None))
         for topic, join in zip(self._linear, joins, strict=True):
-            self._rows[topic] = self._rows[topic].rows(slice(join.needed_from(count), None))
+            self._rows[topic] = self._rows[topic].rows(slice(int(join.kept[count]), None))
         return filled
 
     def _between(self, made: _Series, pair: Integers) -> _Series:
@@ -552,10 +552,6 @@ class _Join:
         pair = np.stack([np.where(held, left, -1), np.where(between, right, np.where(held, left, -1))], axis=1)
         final = has_right | ~usable | (run < len(starts) - 1) | passed
         return cls(pair, final, required & has_right & ~has_left, kept)
-
-    def needed_from(self, message: int) -> int:
-        """Return the first row that a message and those after it still need."""
-        return int(self.kept[message])
 
 
 @dataclass(frozen=True, slots=True)

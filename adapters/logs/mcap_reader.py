@@ -28,6 +28,7 @@ from adapters.encoding.message_record import Decode, decoder, recorded_name
 from adapters.encoding.record import Record, Schema
 from adapters.encoding.typed_record import TypedRecords
 from adapters.errors import TelemetryError
+from adapters.logs.compressed import COMPRESSED
 from adapters.logs.damage import Damage, counted
 from adapters.logs.mcap_records import MESSAGE_HEAD, RECORD_HEAD, UNREADABLE, McapRecords, records_in
 from adapters.message import LATEST_NS, Message
@@ -248,7 +249,7 @@ class MessageLogReader:
 
     def _learn_from_index(self) -> None:
         """Read schemas, channels and the number of messages from a finished file's end; their chunk may be damaged."""
-        if self._path.suffix.lower() in (".xz", ".gz"):
+        if self._path.suffix.lower() in COMPRESSED:
             return
         # a damaged length may exceed the memory
         with contextlib.suppress(*UNREADABLE, McapError, MemoryError, OSError), self._path.open("rb") as stream:

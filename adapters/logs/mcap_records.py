@@ -170,7 +170,10 @@ class McapRecords:
                 self.damaged_chunks += 1
         behind = self._peek(size, size + RECORD_HEAD.size)
         if cut or (data.endswith(_ZEROS) and not behind.strip(b"\0")):
-            return _beginning(shape, data.rstrip(b"\0") if not cut else data), 0
+            try:
+                return _expand(shape, data.rstrip(b"\0") if not cut else data), 0
+            except (ImportError, *UNREADABLE):
+                return None, 0
         # the damage may have moved the next record: its check is stricter than after an intact record
         return None, size if len(behind) < RECORD_HEAD.size or self._believable(size) else 0
 
@@ -275,14 +278,6 @@ def _decompressed(shape: _Shape, data: bytes) -> bytes:
     if len(records) != shape.size or (shape.crc and zlib.crc32(records) != shape.crc):
         raise ValueError("the chunk is damaged")
     return records
-
-
-def _beginning(shape: _Shape, data: bytes) -> bytes | None:
-    """Return the records of a chunk that is cut off, as far as they can be read."""
-    try:
-        return _expand(shape, data)
-    except (ImportError, *UNREADABLE):
-        return None
 
 
 def _expand(shape: _Shape, data: bytes) -> bytes:

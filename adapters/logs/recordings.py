@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from adapters.batch import BATCH_MESSAGES, Batch, messages, pack
 from adapters.errors import TelemetryError
+from adapters.logs.compressed import COMPRESSED
 from adapters.logs.damage import Damage, scan_damage
 from adapters.message import Message
 
 if TYPE_CHECKING:
     from adapters.encoding.record import Record
-    from adapters.logs.log_mapping import LogMapping, MessageRule
+    from adapters.logs.log_mapping import LogMapping
 
 T = TypeVar("T")
 
@@ -39,7 +40,6 @@ _SCANNERS: Mapping[RecordingKind, tuple[str, str]] = {
     "dataflash": ("adapters.logs.dataflash", "DataflashReader"),
 }
 """Readers of logs that are searched record by record, imported when they are used."""
-_COMPRESSED = (".xz", ".gz")
 _SESSION_FILE = re.compile(r"(?P<vehicle>.+)-\d{8}T\d{6}Z-\d+", re.ASCII)
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 # a ROS 2 bag is a folder: its description, and files numbered without leading zeros
@@ -61,7 +61,7 @@ def recording_kind(path: str | os.PathLike[str]) -> RecordingKind:
     if file.is_dir():
         session_files(file)
         return "mcap"
-    kind = _KINDS.get(_plain(file).suffix.lower())
+    kind = _KINDS.get(uncompressed(file).suffix.lower())
     if kind is None:
         known = ", ".join([*_KINDS][:-1]) + f" or {[*_KINDS][-1]}"
         raise TelemetryError(f"{path}: unknown kind of recording; use {known}, plain, .xz or .gz")
@@ -85,9 +85,8 @@ def session_files(folder: str | os.PathLike[str]) -> list[Path]:
         The folder holds no MCAP file, or files of more than one vehicle or recording.
     """
     try:
-        files = sorted(
-            file for file in Path(folder).iterdir() if _plain(file).suffix.lower() == ".mcap" and file.stat().st_size
-        )
+        inside = (file for file in Path(folder).iterdir() if uncompressed(file).suffix.lower() == ".mcap")
+        files = sorted(file for file in inside if file.stat().st_size)
     except OSError as error:
         raise TelemetryError(f"{folder}: cannot be read: {error.strerror}") from error
     if not files:
@@ -165,15 +164,12 @@ class Recording:
         from adapters.logs.log_telemetry import telemetry
 
         wanted = None if self._only is None else self._tables.topics(self._only) | frozenset(self._only)
-        return telemetry(self._read(wanted, count), self._tables, self._only, self._anew, self._note_topic)
+        return telemetry(self._read(wanted, count), self._tables, self._only, self._anew, self._topics)
 
     @property
     def topics(self) -> Mapping[str, str]:
         """Names of the onboard log's records that made the messages read so far, by the message's name."""
         return self._topics
-
-    def _note_topic(self, rule: MessageRule) -> None:
-        self._topics[rule.message] = rule.topic
 
     def _anew(self, only: Collection[str]) -> Iterator[Batch]:
         for file in self._files:
@@ -301,23 +297,18 @@ def recorded_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
     return {}
 
 
-def recorded_vehicle(path: str | os.PathLike[str]) -> str | None:
-    """Return the name under which a monitor recorded its vehicle, or None if no monitor made the recording."""
-    return recorded_metadata(path).get("vehicle")
-
-
-def _plain(file: Path) -> Path:
+def uncompressed(file: Path) -> Path:
     """Return a file's name without the suffix of its compression."""
-    return file.with_suffix("") if file.suffix.lower() in _COMPRESSED else file
+    return file.with_suffix("") if file.suffix.lower() in COMPRESSED else file
 
 
 def _vehicle(file: Path, name: re.Pattern[str]) -> str:
     """Return the session of a file; a file of another name is a session of its own."""
-    stem = _plain(file).stem
+    stem = uncompressed(file).stem
     match = name.fullmatch(stem)
     return match["vehicle"] if match else stem
 
 
 def _bag_number(file: Path) -> int:
-    match = _BAG_FILE.fullmatch(_plain(file).stem)
+    match = _BAG_FILE.fullmatch(uncompressed(file).stem)
     return int(match["number"]) if match else 0

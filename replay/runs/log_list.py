@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from adapters.errors import StorageError, TelemetryError, UsageError
-from adapters.logs.recordings import recording_kind, session_files
+from adapters.logs.recordings import recording_kind, session_files, uncompressed
 from adapters.output_file import check_suffix
 
 PLACE = "{log}"
@@ -41,7 +41,8 @@ def find_logs(arguments: Sequence[Path]) -> list[LogFile]:
             recording_kind(path)
             # the given folder is left out of the name, unless it is the recording
             inside = path.relative_to(argument).parts or (path.name,)
-            base = name = "_".join((*inside[:-1], _stem(path)))
+            stem = path.resolve().name if path.is_dir() else uncompressed(path).stem
+            base = name = "_".join((*inside[:-1], stem))
             number = 1
             while name in taken:
                 number += 1
@@ -141,10 +142,3 @@ def _kind(path: Path) -> str:
         return recording_kind(path)
     except TelemetryError:
         return ""
-
-
-def _stem(path: Path) -> str:
-    if path.is_dir():
-        return path.resolve().name
-    name = path.with_suffix("") if path.suffix.lower() in (".xz", ".gz") else path
-    return name.stem

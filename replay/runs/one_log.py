@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from adapters.errors import FauioError, OtherVehicleError
 from adapters.logs.damage import Damage
-from adapters.logs.recordings import Recording, recorded_vehicle, recording_kind
+from adapters.logs.recordings import Recording, recorded_metadata, recording_kind
 from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
@@ -127,7 +127,7 @@ def _replay(
     progress: bool,
     started_s: float,
 ) -> LogOutcome:
-    vehicle = task.vehicle or recorded_vehicle(task.path)
+    vehicle = task.vehicle or recorded_metadata(task.path).get("vehicle")
     recording = Recording(task.path, None if task.record else interests(profile), task.mapping)
     batches = recording.batches() if live is None else live.batches(profile, task, vehicle)
     if live is None and progress:
