@@ -260,7 +260,7 @@ class Table:
         self._known.add(key)
         value = self._content.get(key, default)
         if value is None:
-            self.mistake(key, "is missing" + self._example(key, "; write for example {}"))
+            self.mistake(key, "is missing" + self._example(key))
         return value
 
     def _list(self, key: str, value: Any) -> Sequence[Any]:
@@ -320,11 +320,11 @@ class Table:
 
     def _wrong(self, at: KeyPath, value: Any, kind: str) -> None:
         """Record that a value is of the wrong kind."""
-        example = self._example(at[0], "; write for example {}") if len(at) == 1 else ""
+        example = self._example(at[0]) if len(at) == 1 else ""
         self.mistake(at, f"is {_shown(value)}, which is not {kind}{example or '; write it as one'}")
 
-    def _example(self, key: str | int, words: str) -> str:
-        return words.format(f"{key} = {toml_value(self.examples[str(key)])}") if key in self.examples else ""
+    def _example(self, key: str | int) -> str:
+        return f"; write for example {key} = {toml_value(self.examples[str(key)])}" if key in self.examples else ""
 
     def _unknown(self, key: str, homes: Sequence[str]) -> tuple[str, tuple[KeyPath, ...]]:
         """Return the keys that an unknown key may stand for, in words and as paths."""

@@ -25,12 +25,15 @@ _NONE8, _NONE16, _NONE32 = 0xFF, 0x7FFF, 0xFFFFFFFF
 
 
 class Companion:
-    """Makes the packets, under the system ids of any number of vehicles; signs them if there is a key."""
+    """Makes the packets, under the system ids of any number of vehicles; signs them if there is a key.
+
+    ``dialect`` has pymavlink's messages and constants.
+    """
 
     def __init__(self, key: SigningKey | None = None, component: int = COMPANION) -> None:
         from pymavlink.dialects.v20 import ardupilotmega
 
-        self._names: Any = ardupilotmega
+        self.dialect: Any = ardupilotmega
         self._packer = ardupilotmega.MAVLink(None, 1, component)
         if key is not None:
             self._packer.signing.secret_key = key.secret
@@ -40,7 +43,7 @@ class Companion:
 
     def heartbeat(self, system: int, now_ns: int, *, critical: bool) -> bytes:
         """Return a heartbeat; its state is critical if ``critical``, while an alarm is active."""
-        names = self._names
+        names = self.dialect
         state = names.MAV_STATE_CRITICAL if critical else names.MAV_STATE_ACTIVE
         kind = names.MAV_TYPE_ONBOARD_CONTROLLER
         return self.pack(
@@ -49,7 +52,7 @@ class Companion:
 
     def computer_status(self, system: int, now_ns: int, *, uptime_ms: int, cpu_percent: int, ram_mb: int) -> bytes:
         """Return the computer's status: since when it runs, its load and the memory of the monitor."""
-        message = self._names.MAVLink_onboard_computer_status_message(
+        message = self.dialect.MAVLink_onboard_computer_status_message(
             time_usec=now_ns // 1000,
             uptime=uptime_ms & _NONE32,
             type=0,
@@ -84,7 +87,7 @@ class Companion:
             if len(chunks[-1]) == CHUNK and len(chunks) < MAX_CHUNKS:
                 chunks.append(b"")
         return [
-            self.pack(system, self._names.MAVLink_statustext_message(severity, chunk, number, index), now_ns)
+            self.pack(system, self.dialect.MAVLink_statustext_message(severity, chunk, number, index), now_ns)
             for index, chunk in enumerate(chunks)
         ]
 

@@ -101,9 +101,9 @@ class RateRequests:
     """
 
     def __init__(self, key: SigningKey | None = None, ids: tuple[int, int] = OWN_IDS) -> None:
-        self._dialect = _dialect()
         self._ids = ids
         self._companion = Companion(key, ids[1])
+        self._dialect = self._companion.dialect
         self._vehicles: dict[int, _Vehicle] = {}
         self._everybody: tuple[Mapping[str, float], int] | None = None
         self._heartbeat_ns: int | None = None
@@ -151,16 +151,14 @@ class RateRequests:
                 self._acknowledge(vehicle, one_message(columns, row).fields)
 
     def _acknowledge(self, vehicle: _Vehicle, fields: Mapping[str, Any]) -> None:
-        if vehicle.waiting is not None and self._for_us(fields):
-            refusals = (self._dialect.MAV_RESULT_DENIED, self._dialect.MAV_RESULT_UNSUPPORTED)
-            vehicle.waiting.refused = fields.get("result") in refusals
-            vehicle.waiting = None
-
-    def _for_us(self, fields: Mapping[str, Any]) -> bool:
         addressed = (fields.get("target_system"), fields.get("target_component"))
         # Version 1 has no field for the address.
         to_us = all(address in (0, own) for address, own in zip(addressed, self._ids, strict=True))
-        return to_us and fields.get("command") == self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL
+        answers = to_us and fields.get("command") == self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL
+        if vehicle.waiting is not None and answers:
+            refusals = (self._dialect.MAV_RESULT_DENIED, self._dialect.MAV_RESULT_UNSUPPORTED)
+            vehicle.waiting.refused = fields.get("result") in refusals
+            vehicle.waiting = None
 
     def requests(self, steady_ns: int, now_ns: int) -> list[bytes]:
         """Return the packets to send at this steady and this Unix time; call it several times a second."""
@@ -209,12 +207,6 @@ def _next_request(vehicle: _Vehicle, now_ns: int) -> _Request | None:
     request.sent(now_ns)
     vehicle.waiting, vehicle.waiting_until_ns = request, now_ns + _ACK_NS
     return request
-
-
-def _dialect() -> Any:
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    return ardupilotmega
 
 
 @functools.cache

@@ -105,10 +105,7 @@ def open_session(
 
 
 def endpoints(
-    side: Literal["connect", "listen"],
-    otherwise: Sequence[str] = (),
-    config_file: str | Path | None = None,
-    mode: Mode = "peer",
+    side: Literal["connect", "listen"], otherwise: Sequence[str], config_file: str | Path | None, mode: Mode = "peer"
 ) -> tuple[str, ...]:
     """Return what :func:`open_session` connects to, or listens on: the file's endpoints, otherwise the given ones.
 
