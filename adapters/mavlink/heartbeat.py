@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import functools
 
-import numpy as np
-from numpy.typing import NDArray
-
-from adapters.batch import Columns
+from adapters.batch import Columns, one_message
 from adapters.message import Message
 from adapters.source import MAVLINK
 
@@ -43,23 +40,18 @@ _GROUND_STATION = 6
 """MAV_TYPE_GCS."""
 
 
-def autopilot_heartbeats(columns: Columns) -> NDArray[np.bool_]:
-    """Return which of n messages are heartbeats of an autopilot (n,).
+def holds_autopilot_heartbeat(columns: Columns) -> bool:
+    """Return whether one of some messages is the heartbeat of an autopilot."""
+    rows = range(len(columns.position)) if columns.name == "HEARTBEAT" else ()
+    return any(is_autopilot_heartbeat(one_message(columns, row)) for row in rows)
+
+
+def is_autopilot_heartbeat(message: Message) -> bool:
+    """Return whether a message is the heartbeat of an autopilot.
 
     Heartbeats of a ground station (type 6) and of components without an autopilot (autopilot 8: gimbals, cameras,
     companion computers) are not.
     """
-    count = len(columns.position)
-    if columns.name != "HEARTBEAT" or columns.source is not MAVLINK:
-        return np.zeros(count, np.bool_)
-    no_number = np.full(count, -1)
-    kinds, autopilots = (columns.fields.get(name, no_number) for name in ("type", "autopilot"))
-    right: NDArray[np.bool_] = (kinds != _GROUND_STATION) & (autopilots != NO_AUTOPILOT)
-    return right
-
-
-def is_autopilot_heartbeat(message: Message) -> bool:
-    """Return whether a message is the heartbeat of an autopilot, see :func:`autopilot_heartbeats`."""
     return (
         message.name == "HEARTBEAT"
         and message.source is MAVLINK

@@ -18,7 +18,7 @@ from typing import Any
 from adapters.batch import Columns, one_message
 from adapters.errors import TelemetryError
 from adapters.mavlink.companion import Companion
-from adapters.mavlink.heartbeat import AUTOPILOT, autopilot_heartbeats
+from adapters.mavlink.heartbeat import AUTOPILOT, holds_autopilot_heartbeat
 from adapters.mavlink.mavlink_message import mavlink_types
 from adapters.mavlink.signing import SigningKey
 from adapters.message import SECOND_NS
@@ -135,7 +135,7 @@ class RateRequests:
         """Count messages that have arrived by a steady time; only those of the vehicles asked are counted."""
         if self._everybody is not None and columns.system not in self._vehicles:
             rates, component = self._everybody
-            if columns.component == component and autopilot_heartbeats(columns).any():
+            if columns.component == component and holds_autopilot_heartbeat(columns):
                 self.ask(columns.system, rates, component)
         vehicle = self._vehicles.get(columns.system)
         if vehicle is None or columns.source is not MAVLINK or columns.component != vehicle.component:

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from adapters.batch import Batch, Columns, chosen, joined, sender_of
-from adapters.mavlink.heartbeat import AUTOPILOT, autopilot_heartbeats
+from adapters.mavlink.heartbeat import AUTOPILOT, holds_autopilot_heartbeat
 from adapters.message import Message
 from monitor.alarms.command_watch import COMMANDS, commanded_systems
 from monitor.pipeline import Pipeline
@@ -202,7 +202,7 @@ class _Stranger:
         for entry in batch.entries:
             times = entry.received_ns if isinstance(entry, Columns) else np.array([entry.received_ns])
             self.newest_ns = int(times[-1])
-            if isinstance(entry, Columns) and entry.component == AUTOPILOT and autopilot_heartbeats(entry).any():
+            if isinstance(entry, Columns) and entry.component == AUTOPILOT and holds_autopilot_heartbeat(entry):
                 self._heartbeat = True
             elif self._counts(entry, pipeline):
                 telemetry += len(times)
