@@ -193,7 +193,9 @@ def check_existence(plant: Plant, *, sampled: bool = False) -> tuple[str, ...]:
         moving = _moving(plant, mode, condition != "hidden mode")
         variable = "z" if plant.domain == "discrete" else "s"
         at = f" at slopes {', '.join(f'{slope:g}' for slope in slopes)}" if len(slopes) else ""
-        where = f"mode at {variable} = {_complex_text(mode.eigenvalue)}{at}"
+        value = mode.eigenvalue
+        shown = f"{value.real:.4g}" if abs(value.imag) < 1e-9 else f"{value.real:.4g}{value.imag:+.4g}j"
+        where = f"mode at {variable} = {shown}{at}"
         if condition == "hidden mode":
             raise ModelError(f"{plant.name}: hidden mode: {moving} shows in no output ({where})")
         raise InfeasibleError(
@@ -225,10 +227,6 @@ def _moving(plant: Plant, mode: HiddenMode, faulty: bool) -> str:
 
 def _largest(names: Sequence[str], sizes: FloatArray) -> str:
     return " and ".join(f"'{name}'" for name in leading(names, sizes))
-
-
-def _complex_text(value: complex) -> str:
-    return f"{value.real:.4g}" if abs(value.imag) < 1e-9 else f"{value.real:.4g}{value.imag:+.4g}j"
 
 
 def moving_states(plant: Plant, mode: HiddenMode) -> tuple[str, ...]:

@@ -145,14 +145,7 @@ def _sampled(dynamics: Dynamics, h: float, hold: Hold) -> tuple[FloatArray, ...]
     if hold == "zero":
         end[:, : s + 1] = 0.0
     start = constant - end
-    return (
-        transition[:, :n],
-        start[:, :s],
-        end[:, :s],
-        constant[:, s],
-        start[:, s + 1 :],
-        end[:, s + 1 :],
-    )
+    return transition[:, :n], start[:, :s], end[:, :s], constant[:, s], start[:, s + 1 :], end[:, s + 1 :]
 
 
 def _expm(matrix: FloatArray) -> FloatArray:

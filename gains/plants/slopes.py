@@ -300,10 +300,7 @@ def _wave(low: float, high: float, peak: float, function: Callable[[float], floa
         return math.floor((high - angle) / turn) >= math.ceil((low - angle) / turn)
 
     ends = (function(low), function(high))
-    return (
-        -1.0 if holds(peak + math.pi) else min(ends),
-        1.0 if holds(peak) else max(ends),
-    )
+    return -1.0 if holds(peak + math.pi) else min(ends), 1.0 if holds(peak) else max(ends)
 
 
 def _tangent(low: float, high: float) -> Interval:

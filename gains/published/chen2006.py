@@ -96,10 +96,7 @@ def design_chen2006(plant: Plant) -> ContinuousObserver:
 
 
 def _observer(
-    plant: Plant,
-    matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    inverse: FloatArray,
-    seconds: float,
+    plant: Plant, matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray], inverse: FloatArray, seconds: float
 ) -> ContinuousObserver:
     """Return the observer with the filtered estimate of f_a; its state is [z; r], fa^ = r + (Cb Dd)_a^+ y / tau."""
     N, L, M, E_o = matrices

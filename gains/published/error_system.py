@@ -134,13 +134,8 @@ def _coordinates(plant: Plant, observer: ContinuousObserver) -> tuple[FloatArray
     # vec(M X) = (M kron I) vec(X) and vec(X M) = (I kron M^T) vec(X) for X read row by row
     products = [np.kron(observer.A, I_n) - np.kron(I_s, plant.A.T), np.kron(C_e, I_n), np.kron(I_s, driven.T)]
     right = [-observer.B_y @ plant.C, errors[:, :n] - D_e @ plant.C, observer.into @ driven]
-    X = _solved(
-        plant,
-        observer,
-        np.vstack(products),
-        np.concatenate([side.ravel() for side in right])[:, None],
-        "the states or the inputs",
-    ).reshape(ns, n)
+    sides = np.concatenate([side.ravel() for side in right])[:, None]
+    X = _solved(plant, observer, np.vstack(products), sides, "the states or the inputs").reshape(ns, n)
     stacked = np.vstack([observer.A, C_e])
     constant = np.vstack([X @ plant.E_f, errors[:, n + a2 :]])
     Y_a = _solved(plant, observer, stacked, constant, "constant actuator faults")

@@ -132,17 +132,11 @@ def _compiled(plant: Plant, model: FilterModel, K: FloatArray) -> Gains:
     matrices = ObserverMatrices(
         K=K[:nz], L_i=K[nz:], L_p=K[nz:], L1=np.eye(nz, n), F=K[:nz], N=closed[:nz, :nz], J=(model.A @ K)[:nz]
     )
+    start = np.eye(na, n) @ np.linalg.pinv(plant.C)
     note = "f_s is assumed to be a random walk of its rate; no bound is claimed"
     return Gains(
         **common_fields(plant, matrices),
-        **recursion(
-            discrete,
-            z,
-            moved,
-            np.vstack([estimate, innovation]),
-            np.eye(na, n) @ np.linalg.pinv(plant.C),
-            estimate[nz:],
-        ),
+        **recursion(discrete, z, moved, np.vstack([estimate, innovation]), start, estimate[nz:]),
         method="ekf",
         domain="discrete",
         rate_hz=rate_hz,

@@ -180,11 +180,7 @@ def _recursion(observer: ContinuousObserver, period: float) -> _Recursion:
     held, g_before, v, y, one, g = np.split(select, np.cumsum([ns, m, s, p, 1]))
     now, before = np.vstack([y, v, g]), np.vstack([y, v, g_before])
     state = held + X1 @ now  # s = st + X1 r(k), complete when the sample has arrived
-    step = [
-        Phi @ state + X0 @ now + np.outer(constant, one),
-        g,
-        observer.output @ np.vstack([state, y]),
-    ]
+    step = [Phi @ state + X0 @ now + np.outer(constant, one), g, observer.output @ np.vstack([state, y])]
     # nu = H x^, with g of the previous sample
     arguments = plant.H @ observer.output[: len(plant.states)] @ np.vstack([held + X1 @ before, y])
     initial = np.zeros((ns + m, s + p + 1))

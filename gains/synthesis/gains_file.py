@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -176,24 +177,18 @@ def _text(key: str, document: Mapping[str, Any]) -> str:
     return str(document[key])
 
 
-def _list(key: str, document: Mapping[str, Any]) -> list[Any]:
-    if not isinstance(document[key], list):
+def _list(key: str, document: Mapping[str, Any], what: str = "", *kinds: type) -> tuple[Any, ...]:
+    """Return a list; ``what`` says what its entries have to be, ``kinds`` are their types, any if there are none."""
+    values = document[key]
+    if not isinstance(values, list):
         raise ModelError(f"'{key}' is not a list")
-    return list(document[key])
+    if kinds and not all(type(value) in kinds for value in values):
+        raise ModelError(f"'{key}' is not a list of {what}")
+    return tuple(values)
 
 
 def _names(key: str, document: Mapping[str, Any]) -> tuple[str, ...]:
-    names = _list(key, document)
-    if not all(isinstance(name, str) for name in names):
-        raise ModelError(f"'{key}' is not a list of names")
-    return tuple(names)
-
-
-def _indices(key: str, document: Mapping[str, Any]) -> tuple[int | None, ...]:
-    indices = _list(key, document)
-    if not all(index is None or type(index) is int for index in indices):
-        raise ModelError(f"'{key}' is not a list of indices")
-    return tuple(indices)
+    return _list(key, document, "names", str)
 
 
 def _finite(key: str, value: Any) -> float:
@@ -231,7 +226,7 @@ _READERS: Mapping[str, Callable[[str, Mapping[str, Any]], Any]] = {
     "str": _text,
     "float": lambda key, document: _finite(key, document[key]),
     "tuple[str, ...]": _names,
-    "tuple[int | None, ...]": _indices,
+    "tuple[int | None, ...]": lambda key, document: _list(key, document, "indices", int, NoneType),
     "tuple[float, ...]": lambda key, document: tuple(_finite(key, item) for item in _list(key, document)),
     "tuple[ScalarNonlinearity, ...]": lambda key, document: tuple(
         _nonlinearity(key, entry) for entry in _list(key, document)
