@@ -148,10 +148,8 @@ def _monitor_config(out: Path) -> Path:
 
 def _run_live(scene: DemoScene, record: Path, speed: float, config: Path | None) -> list[AlarmEvent]:
     """Run daemon, sender and subscriber, and the console if there is a configuration; return the received events."""
-    udp, endpoint = (
-        f"127.0.0.1:{_free_port(socket.SOCK_DGRAM)}",
-        f"tcp/127.0.0.1:{_free_port(socket.SOCK_STREAM)}",
-    )
+    udp = f"127.0.0.1:{_free_port(socket.SOCK_DGRAM)}"
+    endpoint = f"tcp/127.0.0.1:{_free_port(socket.SOCK_STREAM)}"
     daemon = subprocess.Popen(  # noqa: S603 - our own program with our own arguments
         [
             *(sys.executable, "-m", "fauio", "run", str(scene.profile), "--mavlink", f"udpin:{udp}"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.logs.damage import Damage
-from adapters.output_file import write_file
 from monitor.bus.alarm_text import utc
 from monitor.display import doubt_text, fault_text
 from monitor.estimation.effectiveness import EffectivenessRule
@@ -168,13 +166,11 @@ class Run:
     facts: LogFacts | None = None  # statements of the log about the flight; None if it is not an autopilot's log
 
 
-def write_report(path: str | os.PathLike[str], run: Run) -> None:
-    """Write the report of a run: one HTML file with charts that react to the pointer; it loads no other file."""
-    write_file(path, recording_report(run))
-
-
 def recording_report(run: Run) -> str:
-    """Return the report of a run as an HTML page: the verdict, each alarm, the flight, then tables."""
+    """Return the report of a run as an HTML page: the verdict, each alarm, the flight, then tables.
+
+    Its charts react to the pointer; it loads no other file.
+    """
     replay = run.replay
     results = findings(run.profile, replay.events, replay.traces)
     watched_s = {name: watch.watched_s for name, watch in replay.watches.items()}
@@ -273,15 +269,10 @@ def _of_finding(run: Run, finding: Finding) -> Iterator[tuple[str, object]]:
         yield "how sure", f"said only where it is {_certain(finding.effect)}"
     if finding.rival is not None and finding.rival[1] >= 1.0:
         yield "not told apart from", f"{finding.rival[0]}, whose estimate passed its own threshold meanwhile"
-    if advice := _what_to_check(alarm.channel):
+    if advice := next((words for pattern, words in _CHECKS.items() if re.fullmatch(pattern, alarm.channel)), ""):
         yield "what to check", advice
     if run.facts is not None and (said := said_about(finding, run.facts)):
         yield "the autopilot said", "; ".join(dict.fromkeys(text.text for text in said[:_MOST_SAID]))
-
-
-def _what_to_check(channel: str) -> str:
-    """Return the first things to check after an alarm of a channel; empty if none are known."""
-    return next((words for pattern, words in _CHECKS.items() if re.fullmatch(pattern, channel)), "")
 
 
 def _size_of(finding: Finding) -> str | None:

@@ -14,6 +14,7 @@ from replay.player import Replay, Watch
 from replay.reports.findings import Finding
 from replay.reports.recording_facts import RecordingFacts
 
+_FOREIGN = "other systems or components sent them; one vehicle is watched"
 _MOST_GAPS_NAMED = 5
 """Gaps that are named. Chosen: they fit in a sentence."""
 
@@ -45,7 +46,7 @@ def unchecked(
         *(gap for observer in profile.observers for gap in _without_alarm(observer)),
         *(gap for observer in profile.observers for gap in _together(observer)),
         *_excused(profile, found),
-        *_foreign(replay),
+        *([Unchecked(f"{replay.foreign} messages", _FOREIGN)] if replay.foreign else []),
         Unchecked(
             "faults of any other kind, and smaller ones",
             "only the channels of the profile are watched, each from its threshold on",
@@ -172,11 +173,6 @@ def _excused(profile: Profile, found: Sequence[Finding]) -> Iterator[Unchecked]:
                 f"{_and(rule.channels)} while {_and(causes)} had an alarm, and {rule.for_s:g} s after",
                 "the profile assigns their evidence to that alarm meanwhile",
             )
-
-
-def _foreign(replay: Replay) -> Iterator[Unchecked]:
-    if replay.foreign:
-        yield Unchecked(f"{replay.foreign} messages", "other systems or components sent them; one vehicle is watched")
 
 
 def _and(names: Sequence[str]) -> str:

@@ -149,9 +149,7 @@ def _estimate(traces: Iterable[Trace], alarm: LearnedAlarm, facts: LogFacts) -> 
         if trace.layout.observer == alarm.observer and alarm.channel in trace.layout.faults:
             times = (trace.unix_ns - facts.start_ns) / 1e9
             index = trace.layout.faults.index(alarm.channel)
-            values, unit = (
-                np.where(trace.armed[:, None], trace.isolated[:, [index]], np.nan),
-                trace.layout.fault_units[index],
-            )
+            values = np.where(trace.armed[:, None], trace.isolated[:, [index]], np.nan)
+            unit = trace.layout.fault_units[index]
             return LogSignal(times, values, (alarm.channel,), unit, f"learned observer {alarm.observer}")
     return None

@@ -10,13 +10,15 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from adapters.logs.damage import Damage
-from replay.review.facts.log_facts import SIGNALS, LogFacts, Statement
+from replay.review.facts.log_facts import SIGNALS, LogFacts
 from replay.review.facts.reading import read_facts
 from replay.review.findings.rule import STAGES, WEIGHTS, Judgement, Rule, UnjudgedError, Weight
 from replay.review.rules import RULES
 
 _SAME_S: Final = 0.5
 """Two findings within this time are ordered by causes, seconds. Chosen: the slower signals of logs come at 2 Hz."""
+_QUIET = 5
+"""MAVLink's and syslog's severity of a notice: texts of lower severity are routine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +93,9 @@ class LogReview:
     def timeline(self) -> list[tuple[float, str, str]]:
         """Return the statements of the log and the findings, in order: time, kind, text."""
         stated = [
-            (statement.time_s, statement.kind, statement.text)
-            for statement in self.facts.statements
-            if _tells(statement)
+            (said.time_s, said.kind, said.text)
+            for said in self.facts.statements
+            if said.kind != "text" or said.level < _QUIET or "etected" in said.text
         ]
         judged = [(finding.judgement.start_s, "finding", finding.judgement.text) for finding in self.findings]
         return sorted([*stated, *judged], key=lambda entry: entry[0])
@@ -228,12 +230,3 @@ def _finding_json(finding: ReviewFinding) -> dict[str, Any]:
         "evidence": list(judgement.evidence),
         "counter_evidence": list(finding.counter),
     }
-
-
-_QUIET = 5
-"""MAVLink's and syslog's severity of a notice: texts of lower severity are routine."""
-
-
-def _tells(statement: Statement) -> bool:
-    """Return whether a statement belongs in the time line."""
-    return statement.kind != "text" or statement.level < _QUIET or "etected" in statement.text

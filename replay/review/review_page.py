@@ -26,20 +26,21 @@ def review_page(review: LogReview) -> str:
     said = review.facts
     kind = " ".join(word for word in (said.autopilot, said.vehicle) if word)
     begun = utc(said.start_ns) if said.start_ns > _FIRST_DRONE_NS else "date not recorded"
+    entries = [
+        (f"{at:.1f}", kind, element("strong", text) if kind == "finding" else text)
+        for at, kind, text in review.timeline()
+    ]
+    damage = [(part.file, "; ".join(part.found)) for part in review.damage]
     return page(
         f"{review.log.name}: review",
         element("h1", f"{review.log.name}: what happened"),
         element("div", review.sentence, class_=f"verdict {mark}".strip()),
-        element(
-            "p",
-            f"{begun} · {said.duration_s:.0f} s, {said.flight_text} · {kind}",
-            class_="note",
-        ),
+        element("p", f"{begun} · {said.duration_s:.0f} s, {said.flight_text} · {kind}", class_="note"),
         section("Findings", *_findings(review, charts)),
-        section("Time line", table(("s", "kind", "what"), _entries(review), numbers=[0])),
+        section("Time line", table(("s", "kind", "what"), entries, numbers=[0])),
         section("Looked for, not found", element("p", ", ".join(review.watched) or "Nothing.")),
         section("What could not be judged, and why", table(("findings", "why"), review.reasons())),
-        section("What could not be read", table(("file", "what"), _damage(review))) if review.damage else "",
+        section("What could not be read", table(("file", "what"), damage)) if review.damage else "",
         section("The flight", _signals(review, charts, _OVERVIEW, 0.0, said.duration_s)),
         charts=charts.to_json(),
     )
@@ -56,10 +57,7 @@ def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
         start_s, end_s = window if said.event else (0.0, review.facts.duration_s)
         yield element(
             "article",
-            element(
-                "h3",
-                f"{(finding.rank or said.weight).capitalize()}: {said.start_s:.1f} s: {finding.rule.title}",
-            ),
+            element("h3", f"{(finding.rank or said.weight).capitalize()}: {said.start_s:.1f} s: {finding.rule.title}"),
             element("p", said.text[0].upper() + said.text[1:] + "."),
             facts(
                 [
@@ -70,25 +68,9 @@ def _findings(review: LogReview, charts: Charts) -> Iterator[Html]:
                     ("physics", finding.rule.physics),
                 ]
             ),
-            _signals(
-                review,
-                charts,
-                (*said.plots, *finding.rule.plots),
-                start_s,
-                end_s,
-                said.start_s,
-            ),
+            _signals(review, charts, (*said.plots, *finding.rule.plots), start_s, end_s, said.start_s),
             class_=said.weight if said.weight != "information" else "",
         )
-
-
-def _entries(review: LogReview) -> Iterator[tuple[str, str, object]]:
-    for at, kind, text in review.timeline():
-        yield f"{at:.1f}", kind, element("strong", text) if kind == "finding" else text
-
-
-def _damage(review: LogReview) -> Iterator[tuple[str, str]]:
-    return ((part.file, "; ".join(part.found)) for part in review.damage)
 
 
 def _signals(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from adapters.errors import FauioError, OtherVehicleError
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, recorded_metadata, recording_kind
+from adapters.output_file import write_file
 from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
@@ -24,7 +25,7 @@ from replay.player import Replay, interests, play_batches
 from replay.reports.findings import effects, findings
 from replay.reports.levels import WearLevel, flight_levels
 from replay.reports.recording_facts import RecordingFacts, RecordingMeter
-from replay.reports.report import Run, write_report
+from replay.reports.report import Run, recording_report
 from replay.reports.verdict import alarm_summary, run_sentence, stated_facts
 
 if TYPE_CHECKING:
@@ -196,7 +197,7 @@ def _write(task: LogTask, run: Run, title: str) -> None:
 
         write_rrd(task.rrd, shown._replace(way=way_of(Recording(task.path, WAY_MESSAGES, task.mapping).batches())))
     if task.report:
-        write_report(task.report, run)
+        write_file(task.report, recording_report(run))
 
 
 def _verdict(found: Replay, profile: Profile, facts: RecordingFacts) -> str:

@@ -126,10 +126,8 @@ def _tasks(
     tasks = []
     for index, onset_ns in onsets(free, ONSETS):
         recording = recordings[index]
-        window, states = (
-            recording.window(onset_ns - before_ns, onset_ns, onset_ns + after_ns),
-            recording.states_of(observer.name),
-        )
+        window = recording.window(onset_ns - before_ns, onset_ns, onset_ns + after_ns)
+        states = recording.states_of(observer.name)
         tasks.append((onset_ns, Task(trial, observer.name, recording.system, window, (), states)))
     return tasks
 

@@ -298,12 +298,8 @@ def _service(trend: Trend, hours: float) -> str:
     return f"will need service {when}: {slope}, and {limit} raises an alarm"
 
 
-def trend_lines(wear: Wear) -> list[str]:
-    """Return a line for each channel: its slope, the scatter between flights, and the judgement."""
-    return [_trend_line(trend) for trend in wear.trends]
-
-
-def _trend_line(trend: Trend) -> str:
+def trend_line(trend: Trend) -> str:
+    """Return a line about a channel: its slope, the scatter between flights, and the judgement."""
     name = f"{trend.of.observer}/{trend.of.channel}"
     if trend.line is None:
         return f"{name}: no trend, as only {len(trend.points)} of the {LEAST_FLIGHTS} flights needed measured it"

@@ -47,7 +47,7 @@ def run_trend(args: argparse.Namespace) -> int:
     from adapters.errors import TelemetryError, UsageError
     from adapters.output_file import check_suffix
     from replay.runs.log_list import check_output
-    from replay.wear.trend import SUFFIXES, find_wear, read_table, trend_lines, wear_sentences
+    from replay.wear.trend import SUFFIXES, find_wear, read_table, trend_line, wear_sentences
 
     tables = [path for path in args.flights if path.suffix.lower() in SUFFIXES]
     logs = [path for path in args.flights if path not in tables]
@@ -77,7 +77,7 @@ def run_trend(args: argparse.Namespace) -> int:
     if args.json:
         say_json(wear.to_json())
     else:
-        say(*wear_sentences(wear), *trend_lines(wear))
+        say(*wear_sentences(wear), *map(trend_line, wear.trends))
     return 0
 
 

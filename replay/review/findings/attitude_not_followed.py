@@ -32,7 +32,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, throttle: Lo
     far &= times - wanted.time_s[sent] < _APART_S
     # the attitude must have followed before: an estimator may not know its attitude yet
     far &= np.logical_or.accumulate(judged & ~far)
-    motors = facts.signal("motors")
+    motors, height = facts.signal("motors"), facts.signal("height")
     spans = (span for span in spans_where(times, far, _APART_S) if _left(attitude, apart, *span))
     for start, end in [span for span in spans if not undisturbed(facts, span[0])][:1]:
         within = (times >= start) & (times <= end)
@@ -40,6 +40,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, throttle: Lo
         most = float(np.nanmax(apart[within, axis]))
         name = attitude.names[axis]
         origins = " and ".join(dict.fromkeys((attitude.origin, wanted.origin)))
+        high = height.at(np.array([start]))[0, 0]
         about = motors.during(start - 1.0, start + 1.0)
         usual_then = np.median(about.values, axis=0) if about else np.zeros(len(motors.names))
         full = [motor for motor, command in zip(motors.names, usual_then.tolist(), strict=True) if command > FULL]
@@ -50,7 +51,7 @@ def _judge(facts: LogFacts, attitude: LogSignal, wanted: LogSignal, throttle: Lo
             evidence=(
                 f"{origins}: {name} and the {name} wanted up to {most:.0f} degrees apart, from {start:.2f} s on",
                 *([f"{motors.origin}: {', '.join(full)} at full command"] if full else []),
-                *_high(facts, start),
+                *([f"{height.origin}: {high:.1f} m above the begin of the log"] if height else []),
             ),
             weight="critical",
         )
@@ -74,12 +75,6 @@ def _left(attitude: LogSignal, apart: Floats, start_s: float, end_s: float) -> b
 
 _AGO = 6
 """Moments of that half second that are compared: two more samples than the slowest judged log has."""
-
-
-def _high(facts: LogFacts, at_s: float) -> Iterator[str]:
-    height = facts.signal("height")
-    if height:
-        yield f"{height.origin}: {height.at(np.array([at_s]))[0, 0]:.1f} m above the begin of the log"
 
 
 RULE = Rule(

@@ -7,7 +7,7 @@ from math import isnan, nan
 
 import numpy as np
 
-from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts
+from replay.review.facts.log_facts import LearnedAlarm, LogFacts
 from replay.review.findings.loss_of_control import FAST_M_S, lost_s, speed
 from replay.review.findings.rule import Judgement, UnjudgedError
 
@@ -96,7 +96,12 @@ def alarms_of(facts: LogFacts, channels: Mapping[tuple[str, ...], float]) -> Ite
         enough = bool(staying) and largest.share >= _least_share(channels, largest) and not (accurate or doubts)
         sooner = [alarm for alarm in own[:1] if alarm.onset_s < alarm.start_s]
         # a wrong heading and a wrong turn rate look the same to the other sensors
-        either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
+        compass = any(
+            other.channel == "compass" and alarm.start_s < other.end_s and other.start_s < alarm.end_s
+            for alarm in own
+            for other in watch.alarms
+        )
+        either = "the compass is wrong, or " if channel == "gyro_z" and compass else ""
         yield Judgement(
             span=(min(own[0].start_s, own[0].onset_s), own[-1].end_s),
             text=f"{either}{largest.text}, compared with the first {learned_s:.0f} s of the flight",
@@ -178,11 +183,6 @@ def _landed_before(facts: LogFacts, alarm: LearnedAlarm) -> Iterator[str]:
     begun_s = max((start for start, _ in facts.flight if start <= alarm.start_s), default=0.0)
     if begun_s - taught_s > _GROUND_S:
         yield "it has landed since: load, battery and calibration may be others"
-
-
-def _overlaps(alarms: Sequence[LearnedAlarm], watch: LearnedWatch, channel: str) -> bool:
-    others = [alarm for alarm in watch.alarms if alarm.channel == channel]
-    return any(alarm.start_s < other.end_s and other.start_s < alarm.end_s for alarm in alarms for other in others)
 
 
 def _own(alarm: LearnedAlarm) -> bool:
