@@ -13,7 +13,6 @@ difference exceeds its level, the error b may become large and the wind may have
 
 import numpy as np
 
-from cpython.mem cimport PyMem_Free, PyMem_Malloc
 from libc.math cimport M_PI, cos, fabs, fmax, fmin, isfinite, pow, sin, sqrt
 from libc.string cimport memset
 
@@ -91,7 +90,7 @@ cdef class AirspeedCore:
     """
 
     cdef double _dt, _scale, _noise, _level, _minimum
-    cdef double* _line
+    cdef double[:, ::1] _line
     cdef Py_ssize_t _ticks, _count, _next
     cdef double[3] _x
     cdef double[3][3] _P
@@ -101,13 +100,8 @@ cdef class AirspeedCore:
     def __cinit__(self, double dt, double scale, double noise, double level, double minimum):
         self._dt, self._scale, self._noise, self._level, self._minimum = dt, scale, noise, level, minimum
         self._ticks = max(1, round(_AGE_S / dt))
-        self._line = <double*>PyMem_Malloc(self._ticks * _WAITING * sizeof(double))
-        if self._line == NULL:
-            raise MemoryError
+        self._line = np.empty((self._ticks, _WAITING))
         self.restart()
-
-    def __dealloc__(self):
-        PyMem_Free(self._line)
 
     cdef void restart(self) noexcept:
         """Forget all samples."""
@@ -260,7 +254,7 @@ cdef class AirspeedCore:
         one."""
         cdef double[_WAITING] measured
         cdef double[3] H
-        cdef double* place = self._line + self._next * _WAITING
+        cdef double* place = &self._line[self._next, 0]
         cdef double walk = _FREE_WALK if self._free else _ERROR_WALK
         cdef double wind = _WALK * _WALK + (_SHEAR * _SHEAR * fabs(now[3]) if now != NULL else 0.0)
         cdef double off

@@ -9,10 +9,8 @@ cdef enum:
 cdef class Stands:
     cdef int _width, _next_stop
     cdef bint _flies
-    cdef double* _values
-    cdef double* _stopped
-    cdef long long* _since
-    cdef long long* _moved
+    cdef double[::1] _values, _stopped
+    cdef long long[::1] _since, _moved
     cdef double[STOPS] _stops
     cdef double _low, _high
     cdef long long _longest
@@ -52,16 +50,12 @@ cdef class Response:
     cdef double _mean
     cdef bint _moved
     # Of a window the products of its rows with themselves (the lower triangle) and with the changes of the outputs.
-    cdef double* _squares
-    cdef double* _products
+    cdef double[:, ::1] _squares, _products
     # The newest row: 1 and the differences of commands, the latest first; the outputs before.
-    cdef double* _row
-    cdef double* _before
+    cdef double[::1] _row, _before
     # Of the changes of each output their sum of squares in the window, and their least and largest variance in windows
     # in which commands act.
-    cdef double* _energies
-    cdef double* _least
-    cdef double* _most
+    cdef double[::1] _energies, _least, _most
 
     cdef bint take(self, const double* vector, bint is_usable) noexcept
     cdef bint judge(self) noexcept

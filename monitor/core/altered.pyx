@@ -11,7 +11,8 @@ changes the period but not the pace. Where both change alike, the stamps were al
 run at the speed of its program.
 """
 
-from cpython.mem cimport PyMem_Calloc, PyMem_Free
+import numpy as np
+
 from libc.math cimport INFINITY, fabs, rint, sqrt
 
 # In nanoseconds.
@@ -94,20 +95,9 @@ cdef class Stands:
     """
 
     def __cinit__(self, stopped):
-        cdef int width = len(stopped), i
-        self._width = width
-        self._values = <double*>PyMem_Calloc(2 * width, sizeof(double))
-        self._since = <long long*>PyMem_Calloc(2 * width, sizeof(long long))
-        if self._values == NULL or self._since == NULL:
-            raise MemoryError
-        self._moved = self._since + width
-        self._stopped = self._values + width
-        for i in range(width):
-            self._stopped[i] = stopped[i]
-
-    def __dealloc__(self):
-        PyMem_Free(self._values)
-        PyMem_Free(self._since)
+        self._width = len(stopped)
+        self._values, self._stopped = np.zeros(self._width), np.array(stopped, float)
+        self._since, self._moved = np.zeros((2, self._width), np.int64)
 
     cdef bint take(self, long long stamp, const double* row, bint flies) noexcept:
         """Process a row of outputs; return whether one of them has repeated for too long."""
@@ -268,26 +258,14 @@ cdef class Response:
     """
 
     def __cinit__(self, int inputs, int outputs, double rate_hz):
-        cdef int i, size
         self._inputs, self._outputs = inputs, outputs
         self._lags = max(LEAST_LAGS, min(MOST_LAGS, <int>rint(LAGS * rate_hz)))
         self._width = (inputs - 1) * (self._lags + 1) + 1
         self._window = max(<int>rint(WINDOW * rate_hz), SAMPLES * self._width)
-        size = self._width * (self._width + outputs) + self._width + 4 * outputs
-        self._squares = <double*>PyMem_Calloc(size, sizeof(double))
-        if self._squares == NULL:
-            raise MemoryError
-        self._products = self._squares + self._width * self._width
-        self._row = self._products + self._width * outputs
-        self._before = self._row + self._width
-        self._energies = self._before + outputs
-        self._least = self._energies + outputs
-        self._most = self._least + outputs
-        for i in range(outputs):
-            self._least[i] = INFINITY
-
-    def __dealloc__(self):
-        PyMem_Free(self._squares)
+        self._squares = np.zeros((self._width, self._width))
+        self._products = np.zeros((self._width, outputs))
+        self._row, self._before = np.zeros(self._width), np.zeros(outputs)
+        self._energies, self._least, self._most = np.zeros(outputs), np.full(outputs, np.inf), np.zeros(outputs)
 
     cdef bint take(self, const double* vector, bint is_usable) noexcept:
         """Process a sample [u; y]; return whether the outputs do not change as the commands say any more."""
@@ -313,43 +291,43 @@ cdef class Response:
             self._before[k] = vector[self._inputs + k]
             self._energies[k] += is_known * change * change
             for i in range(self._width):
-                self._products[i * self._outputs + k] += is_known * self._row[i] * change
+                self._products[i, k] += is_known * self._row[i] * change
         if not is_known:
             self._known += 1
             return False
         for i in range(self._width):
             for k in range(i + 1):
-                self._squares[i * self._width + k] += self._row[i] * self._row[k]
+                self._squares[i, k] += self._row[i] * self._row[k]
         self._count += 1
         return self._count == self._window and self.judge()
 
     cdef bint judge(self) noexcept:
         """Compare the window with those before; return whether the commands have ceased to act."""
         cdef int n = self._count, width = self._width, i, j, k
-        cdef double* factor = self._squares
+        cdef double[:, ::1] factor = self._squares
         cdef double ridge = 0.0, total, variance, rest, share, best = -INFINITY, judged = -INFINITY
         cdef bint acts
         for i in range(width):
-            ridge += 1e-9 * factor[i * width + i]
+            ridge += 1e-9 * factor[i, i]
         for i in range(width):
             # Cholesky: the lower triangle in place; forward substitution of the products.
-            factor[i * width + i] += ridge
+            factor[i, i] += ridge
             for j in range(i + 1):
-                total = factor[i * width + j]
+                total = factor[i, j]
                 for k in range(j):
-                    total -= factor[i * width + k] * factor[j * width + k]
-                factor[i * width + j] = sqrt(total) if i == j else total / factor[j * width + j]
+                    total -= factor[i, k] * factor[j, k]
+                factor[i, j] = sqrt(total) if i == j else total / factor[j, j]
             for k in range(self._outputs):
-                total = self._products[i * self._outputs + k]
+                total = self._products[i, k]
                 for j in range(i):
-                    total -= factor[i * width + j] * self._products[j * self._outputs + k]
-                self._products[i * self._outputs + k] = total / factor[i * width + i]
+                    total -= factor[i, j] * self._products[j, k]
+                self._products[i, k] = total / factor[i, i]
         for k in range(self._outputs):
             # the first parameter is the mean
-            rest = self._energies[k] - self._products[k] * self._products[k]
+            rest = self._energies[k] - self._products[0, k] * self._products[0, k]
             variance = rest / n
             for i in range(1, width):
-                rest -= self._products[i * self._outputs + k] * self._products[i * self._outputs + k]
+                rest -= self._products[i, k] * self._products[i, k]
             share = 1.0 - rest / (n - width) / variance if variance > 0.0 else 0.0
             acts = share >= ACTS
             best = max(best, share)
@@ -368,9 +346,7 @@ cdef class Response:
 
     cdef void begin(self) noexcept:
         """Begin another window."""
-        cdef int i
-        for i in range(self._width * (self._width + self._outputs)):
-            self._squares[i] = 0.0
-        for i in range(self._outputs):
-            self._energies[i] = 0.0
+        self._squares[:, :] = 0.0
+        self._products[:, :] = 0.0
+        self._energies[:] = 0.0
         self._count, self._moved = 0, False

@@ -14,10 +14,9 @@ cdef class Interleaved:
     cdef long long[FINDINGS] _found
     cdef long long[FINDINGS] _found_at
     cdef long long _intruded
-    cdef long long* _stamps
-    cdef double* _rows
-    cdef double* _periods
-    cdef double* _typical
+    cdef long long[::1] _stamps
+    cdef double[:, ::1] _rows
+    cdef double[::1] _periods, _typical
 
     cdef bint take(self, long long stamp, long long received, const double* row) noexcept
     cdef void clear(self) noexcept

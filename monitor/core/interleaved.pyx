@@ -19,7 +19,8 @@ the same vehicle's values, bring no values that contradict each other. Where the
 turns and lie far apart, the larger group gives the usual values.
 """
 
-from cpython.mem cimport PyMem_Calloc, PyMem_Free
+import numpy as np
+
 from libc.math cimport INFINITY, fabs, fmod
 from libc.string cimport memcpy, memmove
 
@@ -67,27 +68,16 @@ cdef class Interleaved:
     """
 
     def __cinit__(self, periods):
-        cdef int i
         self._width = len(periods)
-        self._stamps = <long long*>PyMem_Calloc(ROWS, sizeof(long long))
-        self._rows = <double*>PyMem_Calloc((ROWS + 2) * self._width + 1, sizeof(double))
-        if self._stamps == NULL or self._rows == NULL:
-            raise MemoryError
-        self._periods = self._rows + ROWS * self._width
-        self._typical = self._periods + self._width
-        for i, period in enumerate(periods):
-            self._periods[i] = period
-
-    def __dealloc__(self):
-        PyMem_Free(self._stamps)
-        PyMem_Free(self._rows)
+        self._stamps, self._rows = np.zeros(ROWS, np.int64), np.zeros((ROWS, self._width))
+        self._periods, self._typical = np.array(periods, float), np.zeros(self._width)
 
     cdef void clear(self) noexcept:
         self._count = 0
 
     cdef bint take(self, long long stamp, long long received, const double* row) noexcept:
         """Process a row (NaN: a missing value); return whether it shows two senders."""
-        cdef int place = self._count, i
+        cdef int place = self._count, later, i
         cdef bint other = False
         if self._plural:
             return False
@@ -95,7 +85,7 @@ cdef class Interleaved:
             place -= 1
         if place and self._stamps[place - 1] == stamp:
             for i in range(self._width):
-                other |= fabs(row[i] - self._rows[(place - 1) * self._width + i]) > 0.0
+                other |= fabs(row[i] - self._rows[place - 1, i]) > 0.0
             if other and self._usual == 0.0:
                 # This stream always brings several rows with one stamp: several devices send under one name.
                 self._plural = True
@@ -108,26 +98,21 @@ cdef class Interleaved:
         self._taken += 1
         if self._count == ROWS:
             place -= 1
-            memmove(self._stamps, self._stamps + 1, place * sizeof(long long))
-            memmove(self._rows, self._rows + self._width, place * self._width * sizeof(double))
+            memmove(&self._stamps[0], &self._stamps[1], place * sizeof(long long))
+            memmove(&self._rows[0, 0], &self._rows[1, 0], place * self._width * sizeof(double))
         else:
-            memmove(self._stamps + place + 1, self._stamps + place, (self._count - place) * sizeof(long long))
-            memmove(
-                self._rows + (place + 1) * self._width,
-                self._rows + place * self._width,
-                (self._count - place) * self._width * sizeof(double),
-            )
+            later = self._count - place
+            memmove(&self._stamps[place + 1], &self._stamps[place], later * sizeof(long long))
+            memmove(&self._rows[place + 1, 0], &self._rows[place, 0], later * self._width * sizeof(double))
             self._count += 1
         self._stamps[place] = stamp
-        memcpy(self._rows + place * self._width, row, self._width * sizeof(double))
+        memcpy(&self._rows[place, 0], row, self._width * sizeof(double))
         # A row that is so late leaves the judged row in its position, where it was judged before.
         if self._count < ROWS or place < JUDGED:
             return False
         if self._usual == 0.0:
             self._usual = <double>(self._stamps[ROWS - 1] - self._stamps[0]) / (self.first_rows() - 1)
-        other = self.intrude(
-            JUDGED - 1, JUDGED + 1, self._stamps[JUDGED], self._rows + JUDGED * self._width, received
-        )
+        other = self.intrude(JUDGED - 1, JUDGED + 1, self._stamps[JUDGED], &self._rows[JUDGED, 0], received)
         if self.contradicts(JUDGED):
             return self.find(received) or other
         if other:
@@ -228,7 +213,7 @@ cdef class Interleaved:
             most = self._typical[i]
             for k in range(1, count - 1):
                 most = max(most, 0.5 * fabs(self.step(own[k], own[k - 1], i) + self.step(own[k], own[k + 1], i)))
-            off = fabs(turned(row[i] - self._rows[before * self._width + i], self._periods[i])
+            off = fabs(turned(row[i] - self._rows[before, i], self._periods[i])
                        - share * self.step(before, after, i))
             if off > FAR * most > 0.0:
                 self._intruded = received
@@ -277,9 +262,7 @@ cdef class Interleaved:
 
     cdef double step(self, int first, int second, int column) noexcept:
         """Return the step from one row to another; of a value that wraps, the shorter way round."""
-        return turned(
-            self._rows[second * self._width + column] - self._rows[first * self._width + column], self._periods[column]
-        )
+        return turned(self._rows[second, column] - self._rows[first, column], self._periods[column])
 
 
 cdef inline double turned(double step, double period) noexcept:

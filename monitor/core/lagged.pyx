@@ -5,9 +5,7 @@ import numpy as np
 
 from adapters.sample import Given, Samples
 
-from cpython.mem cimport PyMem_Free, PyMem_Malloc
 from libc.math cimport cos, exp, sin
-from libc.string cimport memset
 
 
 def cosines(angles):
@@ -44,7 +42,7 @@ def exponential_mean(const double[:, :] values, double keep):
 cdef class _Lag:
     """Transport delay (linear between samples) and first-order lag of one signal."""
 
-    cdef double* _past
+    cdef double[::1] _past
     cdef Py_ssize_t _size, _newest
     cdef double _part, _keep, _value
 
@@ -52,19 +50,11 @@ cdef class _Lag:
         whole, self._part = divmod(delay_s * rate_hz, 1.0)
         self._size = <Py_ssize_t>whole + 2
         self._keep = exp(-1.0 / (lag_s * rate_hz)) if lag_s > 0.0 else 0.0
-        self._past = <double*>PyMem_Malloc(self._size * sizeof(double))
-        if self._past == NULL:
-            raise MemoryError
-        self.restart(0.0)
-
-    def __dealloc__(self):
-        PyMem_Free(self._past)
+        self._past = np.zeros(self._size)
 
     cdef void restart(self, double value) noexcept:
         """Begin as after a long time at ``value``."""
-        cdef Py_ssize_t i
-        for i in range(self._size):
-            self._past[i] = value
+        self._past[:] = value
         self._value = value
 
     cdef double step(self, double value) noexcept:
@@ -99,19 +89,14 @@ cdef class LaggedMeans:
 
     cdef list _lags
     cdef Py_ssize_t _size, _inputs, _outputs, _grouped
-    cdef double* _sum
+    cdef double[::1] _sum
     cdef bint _complete, _measured, _evident, _restart
 
     def __init__(self, timing, double rate_hz, Py_ssize_t size, Py_ssize_t inputs, Py_ssize_t outputs):
         self._lags = [_Lag.__new__(_Lag, delay_s, lag_s, rate_hz) for delay_s, lag_s in timing]
         self._size, self._inputs, self._outputs = size, inputs, outputs
         self._complete = self._measured = self._evident = self._restart = True
-        self._sum = <double*>PyMem_Malloc((inputs + outputs) * sizeof(double))
-        if self._sum == NULL:
-            raise MemoryError
-
-    def __dealloc__(self):
-        PyMem_Free(self._sum)
+        self._sum = np.zeros(inputs + outputs)
 
     def run(self, samples, columns, evidence):
         """Process samples; return the means, each at the end of its group.
@@ -152,7 +137,7 @@ cdef class LaggedMeans:
                     (<_Lag>self._lags[i]).restart(given[row, i])
             if restart[row] or place == 0:
                 self._grouped = 0
-                memset(self._sum, 0, width * sizeof(double))
+                self._sum[:] = 0.0
                 self._complete = self._measured = self._evident = True
             for i in range(width):
                 value = given[row, i]

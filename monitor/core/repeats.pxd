@@ -7,9 +7,8 @@ cdef enum:
 
 
 cdef class Repeats:
-    cdef unsigned int* _hashes
-    cdef unsigned int* _first
-    cdef long long* _received
+    cdef unsigned int[::1] _hashes, _first
+    cdef long long[::1] _received
     cdef long long _count
     cdef int _place, _run
     # when the first row of the present run came

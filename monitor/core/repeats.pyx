@@ -6,7 +6,8 @@ by a hash of their values, with the index of its first row. Stamps are not compa
 change them.
 """
 
-from cpython.mem cimport PyMem_Calloc, PyMem_Free
+import numpy as np
+
 from libc.string cimport memcpy
 
 cdef enum:
@@ -27,15 +28,8 @@ cdef class Repeats:
     """The hashes of a stream's last rows."""
 
     def __cinit__(self):
-        self._hashes = <unsigned int*>PyMem_Calloc(2 * KEPT, sizeof(unsigned int))
-        self._received = <long long*>PyMem_Calloc(KEPT, sizeof(long long))
-        if self._hashes == NULL or self._received == NULL:
-            raise MemoryError
-        self._first = self._hashes + KEPT
-
-    def __dealloc__(self):
-        PyMem_Free(self._hashes)
-        PyMem_Free(self._received)
+        self._hashes, self._first = np.zeros((2, KEPT), np.uint32)
+        self._received = np.zeros(KEPT, np.int64)
 
     cdef bint take(self, long long received, const double* row) noexcept:
         """Process a row; return whether it is one of many in a row that came before."""
