@@ -73,7 +73,7 @@ def test_columns_are_encoded_as_their_messages_are(fields: dict[str, Any]) -> No
     rows = dict(enumerate(one_message(given, row) for row in range(2)))
     together, singly = encoder.batch(Batch(2, (given,), {})), encoder.batch(Batch(2, (), rows))
     assert together == singly
-    assert [time_ns for _, _, time_ns in together] == [5, 6]
+    assert together.times_ns == [5, 6]
 
 
 def test_the_schema_names_source_topic_and_types() -> None:

@@ -367,8 +367,8 @@ def test_a_clock_gone_mad_costs_its_records_and_not_the_recording(tmp_path: Path
             log.write(message(1, at_ns))
         log.estimates(replace(estimates(0), samples=replace(estimates(0).samples, time_ns=np.array([-1]))))
         log.estimates(estimates(1))
-    # two messages and an estimate
-    assert log.statistics().lost == 3
+    # two messages, a sample and its estimate
+    assert log.statistics().lost == 4
     assert len(numbers(tmp_path)) == 3
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from adapters.batch import Batch, joined, memory_bytes
@@ -10,7 +10,7 @@ from monitor.estimate import Estimates, joined_estimates
 from monitor.event import AlarmEvent
 from monitor.recording.black_box import BlackBox
 from monitor.recording.foxglove_records import FoxgloveRecords
-from monitor.recording.record_encoder import EncodedRecord, RecordEncoder
+from monitor.recording.record_encoder import EncodedRecords, RecordEncoder
 from monitor.recording.recorder import Recorder
 
 _MOST_ROWS = 4096
@@ -64,8 +64,8 @@ class Archive:
     def event(self, event: AlarmEvent) -> None:
         """Record an alarm event after everything that came before it; a raised alarm begins a clip of the black box."""
         self.encode()
-        records = self._encoder.event(event)
-        records += self._shown.event(event) if records else []
+        encoded = self._encoder.event(event)
+        records = EncodedRecords.of([*encoded, *self._shown.event(event)] if encoded else ())
         if self._recorder is not None:
             self._recorder.record(records, keep=True)
         if self._black_box is not None:
@@ -84,13 +84,13 @@ class Archive:
         if batches:
             batch = joined(batches)
             self._record(self._encoder.batch(batch), telemetry=True)
-            self._record(self._shown.batch(batch), telemetry=False)
+            self._record(EncodedRecords.of(self._shown.batch(batch)), telemetry=False)
         for parts in estimates.values():
             part = joined_estimates(parts)
             self._record(self._encoder.estimates(part), telemetry=False)
-            self._record(self._shown.estimates(part), telemetry=False)
+            self._record(EncodedRecords.of(self._shown.estimates(part)), telemetry=False)
 
-    def _record(self, records: Sequence[EncodedRecord], telemetry: bool) -> None:
+    def _record(self, records: EncodedRecords, telemetry: bool) -> None:
         for part in self._parts:
             part.record(records, telemetry=telemetry)
 

@@ -14,7 +14,7 @@ from typing import Final
 
 from adapters.errors import StorageError
 from monitor.event import AlarmEvent
-from monitor.recording.record_encoder import EncodedRecord, Topic
+from monitor.recording.record_encoder import EncodedRecord, EncodedRecords, Topic
 from monitor.recording.recorder import RETRY_S, RecordFile
 from monitor.recording.retention import Retention, Together, file_stem, writable_folder
 from monitor.sampling.phase import FlightPhase
@@ -132,14 +132,14 @@ class BlackBox:
         """Whether clips are being made."""
         return bool(self._clips)
 
-    def record(self, records: Sequence[EncodedRecord], *, telemetry: bool = False) -> None:
+    def record(self, records: EncodedRecords, *, telemetry: bool = False) -> None:
         """Hold records for alarms to come, and give them to the open clips.
 
         Those of ``telemetry`` have the time of their arrival, which is the time of the black box.
         """
         if not records:
             return
-        times_ns = [time_ns for _, _, time_ns in records]
+        times_ns = records.times_ns
         for clip in self._clips:
             self._give(clip, records, times_ns if telemetry else ())
         if telemetry:
@@ -148,7 +148,7 @@ class BlackBox:
             times_ns = [self._now_ns] * len(records)
         self._held.extend(records)
         self._arrived_ns.extend(times_ns)
-        self._counts.held_bytes += sum([len(data) for _, data, _ in records])
+        self._counts.held_bytes += sum(map(len, records.data))
         self._forget(times_ns[-1])
 
     def alarm(self, event: AlarmEvent) -> None:
@@ -224,7 +224,7 @@ class BlackBox:
             if self._topics[topic].name in _PHASE_TOPICS:
                 self._phase[topic] = record
 
-    def _give(self, clip: _Clip, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> None:
+    def _give(self, clip: _Clip, records: EncodedRecords, times_ns: Sequence[int]) -> None:
         """Give a clip the records of its span, whose end is told by times of telemetry."""
         if clip.ended:
             return
@@ -255,15 +255,15 @@ class BlackBox:
         count = 0
         while clip.waiting and count < max_records:
             log = clip.log = clip.log or self._start(clip)
-            records = [*islice(clip.waiting, max_records - count)]
+            records = EncodedRecords.of(islice(clip.waiting, max_records - count))
             # Near the end of a full clip fewer and fewer fit.
             while len(records) > 1 and log.size_with(records) > self._clip_bytes:
-                del records[len(records) // 2 :]
-            for _ in records:
+                records = records[: len(records) // 2]
+            for _ in records.topics:
                 clip.waiting.popleft()
             if clip.done is not None:
                 clip.done += records
-                clip.done_bytes += sum(len(data) for _, data, _ in records)
+                clip.done_bytes += sum(map(len, records.data))
                 if clip.done_bytes > self._held_bytes:
                     clip.done = None
             log.add(log.recordable(records))

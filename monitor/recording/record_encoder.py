@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
-from collections.abc import Iterable, Sequence
-from typing import Any, Final, NamedTuple, TypeAlias
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any, Final, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
@@ -31,12 +34,36 @@ from monitor.estimate import Estimates, Layout
 from monitor.event import ALARM_FIELDS, AlarmEvent
 
 EncodedRecord: TypeAlias = tuple[int, bytes, int]
-"""Number of the topic, data, log time in Unix nanoseconds (0 <= time < 2^63), as recorder and black box take them.
+"""Number of the topic, data, log time in Unix nanoseconds (0 <= time < 2^63).
 
 The black box holds 20,000 of them per vehicle. A full collection of Python's garbage collector visits every object that
 it tracks: with 80,000 records held for four vehicles it took 0.1 s, in which no alarm could be raised. CPython stops
 tracking a tuple of nothing but numbers and bytes (not an instance of a class) at the first collection that meets it.
 """
+
+
+@dataclass(slots=True)
+class EncodedRecords:
+    """Encoded records in their order, as lists: a recording is written 1.7 times as fast as from tuples."""
+
+    topics: list[int]  # numbers of the topics
+    data: list[bytes]
+    times_ns: list[int]  # log times
+
+    @classmethod
+    def of(cls, records: Iterable[EncodedRecord]) -> Self:
+        """Return single records together."""
+        topics, data, times_ns = [*zip(*records, strict=True)] or ((), (), ())
+        return cls([*topics], [*data], [*times_ns])
+
+    def __len__(self) -> int:
+        return len(self.topics)
+
+    def __getitem__(self, part: slice) -> EncodedRecords:
+        return EncodedRecords(self.topics[part], self.data[part], self.times_ns[part])
+
+    def __iter__(self) -> Iterator[EncodedRecord]:
+        return zip(self.topics, self.data, self.times_ns, strict=True)
 
 
 class Topic(NamedTuple):
@@ -47,6 +74,9 @@ class Topic(NamedTuple):
     schema: Schema | None
     component: int = 0
 
+
+_NO_TIME = -1
+"""Time of a message that no record can hold."""
 
 _TIMES = (Field("time", TIMESTAMP), Field("vehicle_time_ns", "int64"), Field("index", "int64"))
 
@@ -124,38 +154,32 @@ class RecordEncoder:
         self._known: dict[Topic, int] = {}
         self._numbers: dict[tuple[str, Any, int], int] = {}
 
-    def batch(self, batch: Batch) -> list[EncodedRecord]:
+    def batch(self, batch: Batch) -> EncodedRecords:
         """Return the records of telemetry, in the order of arrival."""
-        records: list[EncodedRecord | None] = [None] * batch.count
+        records = EncodedRecords([0] * batch.count, [b""] * batch.count, [_NO_TIME] * batch.count)
         for columns in batch.columns:
-            times_ns = columns.received_ns.tolist()
-            encoded = self._encoded(columns) if min(times_ns, default=0) >= 0 else None
+            encoded = self._encoded(columns)
             if encoded is None:
                 rows = ((place, one_message(columns, row)) for row, place in enumerate(columns.position.tolist()))
                 self._encode_singly(rows, records)
                 continue
             topic, data = encoded
-            for place, row, time_ns in zip(columns.position.tolist(), data, times_ns, strict=True):
-                records[place] = (topic, row, time_ns)
+            for place, row, time_ns in zip(columns.position.tolist(), data, columns.received_ns.tolist(), strict=True):
+                records.topics[place], records.data[place], records.times_ns[place] = topic, row, time_ns
         self._encode_singly(batch.others.items(), records)
-        return [record for record in records if record is not None]
+        return self._recordable(records)
 
-    def estimates(self, estimates: Estimates) -> list[EncodedRecord]:
+    def estimates(self, estimates: Estimates) -> EncodedRecords:
         """Return the records of the samples that estimates were computed from, and of the estimates."""
         name, samples = estimates.observer, estimates.samples
         sample_type, estimate_type = self._types[name]
         sample_topic = self._topic(f"{OWN_TOPICS}{name}/sample", sample_type.pb_class)
         estimate_topic = self._topic(f"{OWN_TOPICS}{name}/estimate", estimate_type.pb_class)
-        records: list[EncodedRecord] = []
-        taken, estimated = sample_type.rows(samples, samples), estimate_type.rows(samples, estimates)
-        for time_ns, sample, estimate in zip(samples.time_ns.tolist(), taken, estimated, strict=True):
-            if time_ns < 0:
-                self.unrecordable += 1
-                continue
-            records += ((sample_topic, sample, time_ns), (estimate_topic, estimate, time_ns))
-        return records
+        pairs = zip(sample_type.rows(samples, samples), estimate_type.rows(samples, estimates), strict=True)
+        topics, times_ns = [sample_topic, estimate_topic] * len(samples), np.repeat(samples.time_ns, 2).tolist()
+        return self._recordable(EncodedRecords(topics, [*chain.from_iterable(pairs)], times_ns))
 
-    def event(self, event: AlarmEvent) -> list[EncodedRecord]:
+    def event(self, event: AlarmEvent) -> EncodedRecords:
         """Return an alarm event as protobuf and as JSON."""
         time_ns = event.time_ns
         try:
@@ -164,12 +188,9 @@ class RecordEncoder:
             record = _alarm_class()(**event.to_json())
         except ValueError:
             self.unrecordable += 1
-            return []
-        topic = self._topic(f"{OWN_TOPICS}alarm", type(record))
-        return [
-            (topic, record.SerializeToString(), time_ns),
-            (self.number(_ALARM_JSON), to_json(event.to_json()), time_ns),
-        ]
+            return EncodedRecords([], [], [])
+        topics = [self._topic(f"{OWN_TOPICS}alarm", type(record)), self.number(_ALARM_JSON)]
+        return EncodedRecords(topics, [record.SerializeToString(), to_json(event.to_json())], [time_ns] * 2)
 
     def _encoded(self, columns: Columns) -> tuple[int, list[bytes]] | None:
         """Return the number of the topic and the data of columns, None where no protobuf type can hold them."""
@@ -185,16 +206,21 @@ class RecordEncoder:
             return None
         return self._topic(f"/{columns.source}/{columns.name}", pb_class, columns.component), data
 
-    def _encode_singly(self, messages: Iterable[tuple[int, Message]], records: list[EncodedRecord | None]) -> None:
+    def _encode_singly(self, messages: Iterable[tuple[int, Message]], records: EncodedRecords) -> None:
         """Store the records of messages at their indices."""
         for place, message in messages:
-            try:
+            with contextlib.suppress(ValueError):
                 record = encode(message)
-            except ValueError:
-                self.unrecordable += 1
-                continue
-            topic = self.number(Topic(record.topic, record.encoding, record.schema, record.component))
-            records[place] = (topic, record.data, record.time_ns)
+                topic = self.number(Topic(record.topic, record.encoding, record.schema, record.component))
+                records.topics[place], records.data[place], records.times_ns[place] = topic, record.data, record.time_ns
+
+    def _recordable(self, records: EncodedRecords) -> EncodedRecords:
+        """Leave out the records of times before 1970 and those without one, and count them."""
+        if min(records.times_ns, default=0) >= 0:
+            return records
+        kept = EncodedRecords.of(record for record in records if record[2] >= 0)
+        self.unrecordable += len(records) - len(kept)
+        return kept
 
     def number(self, topic: Topic) -> int:
         """Return a topic's number; topics are numbered from 0 as they first occur."""

@@ -13,7 +13,7 @@ from typing import Final, Self
 
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
-from monitor.recording.record_encoder import EncodedRecord, Topic
+from monitor.recording.record_encoder import EncodedRecord, EncodedRecords, Topic
 from monitor.recording.retention import FileSeries
 
 MAX_PENDING_RECORDS: Final = 10_000
@@ -63,27 +63,26 @@ class RecordFile(MessageLogWriter):
                     Path(path).unlink()
             raise
 
-    def size_with(self, records: Sequence[EncodedRecord]) -> int:
+    def size_with(self, records: EncodedRecords) -> int:
         """Return an upper bound of the file's size, bytes, if it is closed after these records."""
-        new = {number for number, _, _ in records} - self._numbers.keys()
+        new = {*records.topics} - self._numbers.keys()
         schemas = [schema for number in new if (schema := self._topics[number].schema) is not None]
-        written = sum([len(data) for _, data, _ in records]) + len(records) * _RECORD_MARGIN
+        written = sum(map(len, records.data)) + len(records) * _RECORD_MARGIN
         return self.size + written + sum(2 * len(schema.data) for schema in schemas)
 
-    def recordable(self, records: Sequence[EncodedRecord]) -> Sequence[EncodedRecord]:
+    def recordable(self, records: EncodedRecords) -> EncodedRecords:
         """Return the records whose topics the file has room for."""
         numbers = self._numbers
-        for number in {number for number, _, _ in records} - numbers.keys():
+        for number in {*records.topics} - numbers.keys():
             topic = self._topics[number]
             numbers[number] = self.channel(topic.name, topic.encoding, topic.schema)
         if None not in numbers.values():
             return records
-        return [record for record in records if numbers[record[0]] is not None]
+        return EncodedRecords.of(record for record in records if numbers[record[0]] is not None)
 
-    def add(self, records: Sequence[EncodedRecord]) -> None:
+    def add(self, records: EncodedRecords) -> None:
         """Write records that are :meth:`recordable`, all at once."""
-        channels = [self._numbers[number] or 0 for number, _, _ in records]
-        self.add_all(channels, [data for _, data, _ in records], [time_ns for _, _, time_ns in records])
+        self.add_all([self._numbers[topic] or 0 for topic in records.topics], records.data, records.times_ns)
 
 
 @dataclass(slots=True)
@@ -149,7 +148,7 @@ class Recorder:
         if not isinstance(target, FileSeries):
             self._start(Path(target))
 
-    def record(self, records: Sequence[EncodedRecord], *, telemetry: bool = False, keep: bool = False) -> None:
+    def record(self, records: EncodedRecords, *, telemetry: bool = False, keep: bool = False) -> None:
         """Write records.
 
         The time of ``telemetry`` is that of its arrival: a series looks at it to begin a new file. What is to ``keep``,
@@ -159,24 +158,23 @@ class Recorder:
             raise RuntimeError("the recorder is closed; make another one")
         self._counts.records += len(records)
         while records:
-            log, count = None, len(records)
-            times_ns = [time_ns for _, _, time_ns in records] if telemetry else ()
+            log, part = None, records
             try:
-                log = self._log_for(records, times_ns)
+                log = self._log_for(records, telemetry)
                 if log is not None:
                     # Near the end of a file of a series fewer and fewer fit.
-                    while count > 1 and not self._fits(log, records[:count], times_ns[:count]):
-                        count //= 2
-                    self._write(log, records[:count], keep)
+                    while len(part) > 1 and not self._fits(log, part, telemetry):
+                        part = part[: len(part) // 2]
+                    self._write(log, part, keep)
             except (OSError, StorageError) as error:
                 self._fail(error)
             if log is None:
-                kept = records[: MAX_PENDING_RECORDS - len(self._waiting)] if keep else ()
+                kept = part[: MAX_PENDING_RECORDS - len(self._waiting) if keep else 0]
                 self._waiting.extend(kept)
-                self._counts.dropped += count - len(kept)
+                self._counts.dropped += len(part) - len(kept)
             if telemetry:
-                self._arrived_ns = times_ns[count - 1]
-            records = records[count:]
+                self._arrived_ns = part.times_ns[-1]
+            records = records[len(part) :]
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Fill in metadata entries that were blank so far, in this file and the following ones.
@@ -221,7 +219,7 @@ class Recorder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _write(self, log: RecordFile, records: Sequence[EncodedRecord], keep: bool) -> None:
+    def _write(self, log: RecordFile, records: EncodedRecords, keep: bool) -> None:
         """Write records to a file."""
         kept = log.recordable(records)
         self._counts.unrecordable += len(records) - len(kept)
@@ -230,18 +228,18 @@ class Recorder:
         self._given += len(kept)
         log.add(kept)
 
-    def _log_for(self, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> RecordFile | None:
+    def _log_for(self, records: EncodedRecords, telemetry: bool) -> RecordFile | None:
         """Return the file for the first of some records, None while there is none."""
         log = self._log
         if log is not None and not log.failed:
-            if not self._given or self._fits(log, records[:1], times_ns[:1]):
+            if not self._given or self._fits(log, records[:1], telemetry):
                 return log
             self._end_file()
         if self._counts.failed is not None and self._monotonic() < self._retry_s:
             return None
-        return self._continue(times_ns[0] if times_ns else self._arrived_ns or records[0][2])
+        return self._continue((None if telemetry else self._arrived_ns) or records.times_ns[0])
 
-    def _fits(self, log: RecordFile, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> bool:
+    def _fits(self, log: RecordFile, records: EncodedRecords, telemetry: bool) -> bool:
         """Return whether records belong into a file, by its size and by the times of telemetry.
 
         Only times of telemetry count: they come from one clock, while the monitor's own records have the vehicle's. If
@@ -250,7 +248,8 @@ class Recorder:
         series = self._series
         if series is None:
             return True
-        if times_ns and max(max(times_ns) - self._first_ns, self._first_ns - min(times_ns)) >= series.file_ns:
+        times_ns, first_ns = records.times_ns, self._first_ns
+        if telemetry and max(max(times_ns) - first_ns, first_ns - min(times_ns)) >= series.file_ns:
             return False
         return log.size_with(records) <= series.file_bytes
 
@@ -268,7 +267,7 @@ class Recorder:
             self._given = log.written
         else:
             raise RuntimeError("a recorder of one file has begun it")
-        pending = list(self._waiting)
+        pending = EncodedRecords.of(self._waiting)
         self._waiting.clear()
         self._write(log, pending, keep=True)
         log.flush()
