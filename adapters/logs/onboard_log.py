@@ -20,6 +20,7 @@ from adapters.batch import Batch, Columns, gathered, messages
 from adapters.errors import TelemetryError
 from adapters.logs.compressed import Window
 from adapters.logs.damage import ScanStatistics
+from adapters.logs.record_chain import follow
 from adapters.message import LATEST_NS, Message
 from adapters.source import Source
 
@@ -246,7 +247,7 @@ class Records:
         """Return the records as a batch, and clear them."""
         start = np.array(self.start, np.int64)
         codes = {kind: code for code, kind in enumerate(dict.fromkeys(self.kind))}
-        code = np.fromiter(map(codes.__getitem__, self.kind), np.int64, len(self.kind))
+        code = np.fromiter(map(codes.__getitem__, self.kind), np.uint16, len(self.kind))
         order = np.argsort(code, kind="stable")
         groups = np.split(order, np.searchsorted(code[order], np.arange(1, len(codes))))
         stamps_ns = np.full(len(start), NO_TIME)
@@ -378,29 +379,10 @@ class OnboardLogReader(ABC):
 
     def _chain(self, window: Window, records: Records) -> None:
         """Add the consecutive records in the window's bytes."""
-        data, at, known_by, size = window.data, window.at, self._heads.get, self.fields_at
-        end = self._chain_end(window)
-        add_start, add_kind = records.start.append, records.kind.append
-        count = 0
-        while True:
-            fields_at = at + size
-            head = data[at:fields_at]
-            known = known_by(head)
-            if known is None:
-                if (known := self._known(head)) is None:
-                    break
-                self._heads[head] = known
-            length, wanted = known
-            behind = at + length
-            if behind > end:
-                break
-            count += 1
-            if wanted is not None:
-                add_start(fields_at)
-                add_kind(wanted)
-            at = behind
-        self._records += count
-        window.at = at
+        end, size = self._chain_end(window), self.fields_at
+        found = follow(window.data, window.at, end, size, self._heads, self._known, records.start, records.kind)
+        window.at = found[0]
+        self._records += found[1]
 
     def _chain_end(self, window: Window) -> int:
         """Return the end of the bytes held in which records may follow one another, as an index of them."""
