@@ -139,7 +139,7 @@ def run_fit(args: argparse.Namespace) -> int:
     from monitor.fitting.progress import Stages, track
     from monitor.profile import read_profile
     from monitor.vehicles.kinds import fit_reading
-    from replay.fit import fit_profile, name_by_folder
+    from replay.fit import drawings, fit_profile, name_by_folder
     from replay.runs.log_list import check_output_folder
 
     _check_fit(args)
@@ -184,7 +184,8 @@ def run_fit(args: argparse.Namespace) -> int:
     more = "updated with" if args.update else "from"
     say(f"{out}: profile of '{name}' {more} {len(args.logs)} logs")
     say(*report.text())
-    say("The thresholds are in profile.toml and may be edited; fit.txt and fit.png say how good the fit is.")
+    files = ", ".join(["fit.txt", *drawings(report)])
+    say(f"The thresholds are in profile.toml and may be edited. How good the fit is: {files}")
     return 0
 
 

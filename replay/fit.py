@@ -16,7 +16,7 @@ from adapters.batch import Batch
 from adapters.errors import InfeasibleError, ModelError, OtherVehicleError, TelemetryError, UntoldError, UsageError
 from adapters.output_file import write_file
 from adapters.toml_tables import toml_text
-from monitor.fitting.fit_report import draw_comparison
+from monitor.fitting.fit_report import Comparison, draw_comparison
 from monitor.fitting.fitted import BatchSource, FitRequest, Fitted, kept_logs
 from monitor.fitting.flights import phase_reports
 from monitor.fitting.kept_flights import (
@@ -386,11 +386,15 @@ def write_profile(folder: Path, name: str, report: FitReport, content: Mapping[s
     set_aside = replace_kept(folder / PROFILE_FILE, toml_text(content))
     write_file(folder / "fit.json", json.dumps(report.to_json(), indent=1) + "\n")
     write_file(folder / "fit.txt", "\n".join([f"{name} ({report.vehicle})", *report.text(details=True)]) + "\n")
-    drawn = {fitted.name: fitted.comparison for fitted in report.observers if fitted.comparison is not None}
-    for observer, comparison in drawn.items():
-        file = "fit.png" if len(drawn) == 1 else f"fit.{observer}.png"
+    for file, (observer, comparison) in drawings(report).items():
         draw_comparison(folder / file, comparison, f"{name}, {observer}: {comparison.about}")
     return set_aside
+
+
+def drawings(report: FitReport) -> dict[str, tuple[str, Comparison]]:
+    """Return the observers whose prediction is drawn beside the measurement, by the file of the drawing."""
+    drawn = [(fitted.name, fitted.comparison) for fitted in report.observers if fitted.comparison is not None]
+    return {"fit.png" if len(drawn) == 1 else f"fit.{name}.png": (name, comparison) for name, comparison in drawn}
 
 
 def replace_kept(path: Path, text: str) -> Path | None:

@@ -123,4 +123,6 @@ def furthest_text(
 def outside_text(sizes: Iterable[tuple[str, float, float, str]], factor: float) -> str | None:
     """Return which sizes of a flight are outside of the fitted ones, and the factor on the faults detected there."""
     text = excess_text(sizes)
-    return text and f"outside the fitted flights ({text}): only faults {factor:.2g} times as large are detected"
+    # a speed changes no size, and 1.04 would read "1 times as large"
+    detected = f"only faults {factor:.2g} times as large" if factor >= 1.05 else "faults of the usual size"
+    return text and f"outside the fitted flights ({text}): {detected} are detected"
