@@ -113,10 +113,10 @@ class EvidenceFlow:
         self._seconds: deque[tuple[int, int]] = deque()
 
     def wait_from(self, now_ns: int) -> None:
-        """Expect no evidence until a Unix time; after it, allow the time for settling and the alarm's own."""
+        """Expect no evidence until a Unix time; after it, allow the time to the first evidence and the alarm's own."""
         for group in self.groups:
             if now_ns >= group.since_ns:
-                group.since_ns, group.granted_ns = now_ns, self.limit_ns + self.settle_ns
+                group.since_ns, group.granted_ns = now_ns, self.first_ns
 
     def receive(self, name: str, first_ns: int, last_ns: int) -> None:
         """Follow messages of one name, the first and the last of which came at these Unix times."""

@@ -206,6 +206,8 @@ class Pipeline:
         """Which parts of a flying vehicle are not watched, and why; None: all are watched."""
         if (active := self._blind.active) is not None:
             return active.message
+        if self._stale.active and self._flies():
+            return "telemetry ended in flight: nothing is watched"
         return f"not watched: {self.refused}" if self.refused and self._phase.armed else None
 
     def watching(self, now_ns: int) -> dict[str, Watching]:

@@ -197,6 +197,8 @@ def test_an_observer_so_slow_that_it_has_no_sample_yet_is_waited_for(rate_hz: fl
     flow.receive("VIBRATION", 2**60, 2**60)
     assert flow.awaits(2**60 + round(1e9 * granted_s) - 1)
     assert not flow.awaits(2**60 + round(1e9 * granted_s))
+    flow.wait_from(2**60 + 10**9)  # after a gap, as long again
+    assert flow.awaits(2**60 + 10**9 + round(1e9 * granted_s) - 1)
 
 
 @pytest.mark.parametrize("seed", [5, 7])

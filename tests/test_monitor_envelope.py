@@ -58,7 +58,9 @@ def test_the_status_says_by_how_much_while_it_matters() -> None:
 def test_a_speed_is_told_and_changes_no_size_as_it_is_the_gps_that_says_it() -> None:
     stage = EnvelopeStage(CALM, SIGNALS, RATE_HZ)
     assert np.all(factors(stage, flight(2.0, speed=40.0)) == 1.0)
-    assert stage.outside == "outside the fitted flights (speed 40 m/s, fitted to 8): faults of the usual size are detected"
+    assert (
+        stage.outside == "outside the fitted flights (speed 40 m/s, fitted to 8): faults of the usual size are detected"
+    )
 
 
 def test_what_was_learned_is_inside() -> None:

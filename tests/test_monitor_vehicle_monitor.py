@@ -15,7 +15,7 @@ from loopback import START_NS, event
 from adapters.batch import pack
 from adapters.link_figures import LinkFigures
 from adapters.logs.recordings import packed, read_recording
-from adapters.message import Message
+from adapters.message import Message, silence
 from adapters.source import MAVLINK, OPERATOR, ZENOH
 from monitor.bus.schemas import SCHEMAS
 from monitor.estimate import Estimates
@@ -194,6 +194,25 @@ def test_a_flying_vehicle_without_gps_is_blind_and_no_monitor_says_that_it_is_we
     health = monitor.health("blind", None, now_ns)
     [problem] = problems(Health(ProcessHealth(), (health,)))
     assert "no GPS for 5 s" in problem
+
+
+def test_a_vehicle_whose_telemetry_ended_is_a_problem_in_flight_and_none_on_the_ground(
+    quad_profile: Profile, data: Path
+) -> None:
+    monitor, end_ns = in_flight(quad_profile, data, "nothing")
+    now_ns = end_ns + 3 * SECOND_NS
+    monitor.process(pack([silence(now_ns)]))
+    status = monitor.status(now_ns)
+    assert (status["state"], status["reasons"]) == ("stale", ["telemetry ended in flight: nothing is watched"])
+    [problem] = problems(Health(ProcessHealth(), (monitor.health("stale", None, now_ns),)))
+    assert problem == "copter-1: telemetry ended in flight: nothing is watched"
+
+    landed = Message(MAVLINK, "HEARTBEAT", now_ns, {"type": 2, "autopilot": 3, "base_mode": 81}, 1, 1)
+    down = [replace(landed, received_ns=now_ns + k * SECOND_NS) for k in range(5)]
+    monitor.process(pack([*down, silence(now_ns + 8 * SECOND_NS)]))
+    later_ns = now_ns + 8 * SECOND_NS
+    assert monitor.status(later_ns)["state"] == "stale"
+    assert problems(Health(ProcessHealth(), (monitor.health("stale", None, later_ns),))) == []
 
 
 def test_a_watched_vehicle_says_how_much_it_was_watched(quad_profile: Profile, data: Path) -> None:

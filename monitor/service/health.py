@@ -138,8 +138,8 @@ class Health:
 def problems(health: Health) -> list[str]:
     """Return what keeps the monitor from its work now, a line for each problem.
 
-    A flying vehicle that is not watched is a problem. A vehicle that is silent, faulty, switched off or lacks some
-    telemetry is none: its alarms and its status report that.
+    A flying vehicle that is not watched is a problem, also where its telemetry ended. A vehicle that is silent on the
+    ground, faulty or lacks some telemetry is none: its alarms and its status report that.
     """
     found = []
     process = health.process

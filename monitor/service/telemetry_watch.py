@@ -11,6 +11,9 @@ from monitor.sampling.slow_telemetry import seldom_text
 
 _LACKING_NS = 5_000_000_000
 """Time after which a message counts as missing. Chosen: ten times the half second of silence that is a gap."""
+_PERIODS = 5
+"""The same for slow observers, in their own periods: each message has to come twice before the first sample, and
+the next one has to show that none is late. A vehicle's VIBRATION, once in 2 s, gave a sample 8 to 10 s after a gap."""
 _COUNTED_NS = 10_000_000_000
 """Time over which samples are counted. Chosen: at 10 Hz and more their share is known to 1 %."""
 _FEWEST_SAMPLES = 20
@@ -80,7 +83,7 @@ class TelemetryWatch:
         self._count(now_ns)
         found = []
         for observer in self._observers:
-            if nothing := self._nothing(observer.name, now_ns):
+            if nothing := self._nothing(observer, now_ns):
                 found.append(nothing)
             elif slow := self._slow.get(observer.name):
                 found.append(slow)
@@ -101,14 +104,15 @@ class TelemetryWatch:
         self._samples.clear()
         self._counted_ns = now_ns
 
-    def _nothing(self, observer: str, now_ns: int) -> str | None:
-        if now_ns - max(self._since_ns, self._sampled.get(observer, 0)) < _LACKING_NS:
+    def _nothing(self, observer: ObserverProfile, now_ns: int) -> str | None:
+        lacking_ns = max(_LACKING_NS, round(_PERIODS * 1e9 / observer.rate_hz))
+        if now_ns - max(self._since_ns, self._sampled.get(observer.name, 0)) < lacking_ns:
             return None
-        names = self._needs[observer]
-        missing = sorted(name for name in names if now_ns - self._received.get(name, 0) >= _LACKING_NS)
+        names = self._needs[observer.name]
+        missing = sorted(name for name in names if now_ns - self._received.get(name, 0) >= lacking_ns)
         short = sorted(self._short[name] for name in names if self._short.get(name))
         why = f"no {', '.join(missing)}" if missing else "; ".join(short) or "no times in common"
-        return f"{observer} watches nothing: {why}"
+        return f"{observer.name} watches nothing: {why}"
 
     def _seldom(self, observer: ObserverProfile) -> str | None:
         samples = self._samples[observer.name]

@@ -295,9 +295,11 @@ class VehicleMonitor:
         if behind or pipeline.stale:
             # While the monitor lags, messages may be queued, not missing.
             self._watch.pause(now_ns)
+            lacks = []
         else:
             lacks = self._watch.lacks(now_ns)
             reasons += pipeline.contradictions
+        if pipeline.stale or not behind:
             reasons += lacks if pipeline.blind is None else [pipeline.blind]
         if behind:
             reasons.append(f"the monitor does not keep up: {behind_s:.1f} s behind")
