@@ -12,12 +12,11 @@ Decided on messages and their times of arrival alone, like everything in the pip
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adapters.batch import Batch
 from adapters.message import SECOND_NS
@@ -136,7 +135,9 @@ class EvidenceFlow:
             # Telemetry that comes but is unlike the fitted flights is not missing.
             lost, came = lost & ~run.unflown[:, None], armed | run.unflown
         is_lost = bool(lost.any())
-        self._lost = tuple(self._labels(lost[-1])) if is_lost else ()
+        self._lost = ()
+        if is_lost:
+            self._lost = tuple(self._name_of(group) for group in self.groups if lost[-1, group.columns].all())
         restarts, cames = samples.restart.nonzero()[0], came.nonzero()[0]
         if restarts.size:
             restart_ns, again_ns = received(int(position[restarts[-1]])), self.settle_ns + _AFTER_RESTART_NS
@@ -236,11 +237,6 @@ class EvidenceFlow:
             why = self.reason(now_ns, contested)[1]
         sensors = {group.label or self.name: group.evidence_ns or None for group in self.groups}
         return Watching(round(share, 3), last_ns or None, why, sensors)
-
-    def _labels(self, lost: NDArray[np.bool_]) -> Iterator[str]:
-        for group in self.groups:
-            if lost[group.columns].all():
-                yield self._name_of(group)
 
     def _name_of(self, group: _Group) -> str:
         # messages that come without evidence may be too late, or have no usable time

@@ -518,7 +518,10 @@ class ObserverChain:
                 wander = np.where(self._scales[changes.named], 0.0, sd[np.arange(len(samples)), changes.named])
                 changes = changes._replace(sd=np.hypot(changes.sd, wander))
         if changes is not None:
-            changes = known_together(changes, position)
+            # Messages are judged whole: the last of the samples of one gives the size of all.
+            ends = np.append((np.diff(position) != 0) | (np.diff(changes.named) != 0), True)
+            last = np.flatnonzero(ends)[np.cumsum(ends) - ends]
+            changes = changes._replace(size=changes.size[last], growth=changes.growth[last], sd=changes.sd[last])
         if changes is not None and beyond is not None:
             # larger errors of the model make the log-likelihood of a fault smaller by their square
             changes = changes._replace(nats=changes.nats / beyond**2)
@@ -576,13 +579,6 @@ def _layout(profile: ObserverProfile) -> Layout:
         usual_commands=tuple(map(profile.usual_commands.get, names)),
         smoothing_s=profile.isolation.smoothing_s,
     )
-
-
-def known_together(change: ChangeRun, position: NDArray[np.int64]) -> ChangeRun:
-    """Return named changes with the size that the last of the samples of one message gives."""
-    ends = np.append((np.diff(position) != 0) | (np.diff(change.named) != 0), True)
-    last = np.flatnonzero(ends)[np.cumsum(ends) - ends]
-    return change._replace(size=change.size[last], growth=change.growth[last], sd=change.sd[last])
 
 
 def shown_in(plant: Plant | None, layout: Layout) -> NDArray[np.bool_]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import sys
 from collections.abc import Iterator
 from pathlib import PurePath
@@ -26,12 +25,12 @@ def add_completion(subparsers: Any, parser: argparse.ArgumentParser) -> None:
         epilog="example: fauio completion bash",
     )
     command.add_argument("shell", choices=SHELLS, help="shell that reads it")
-    command.set_defaults(handler=functools.partial(_run_completion, parser))
 
+    def run(args: argparse.Namespace) -> int:
+        sys.stdout.write(completion_script(parser, args.shell) + "\n")
+        return 0
 
-def _run_completion(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
-    sys.stdout.write(completion_script(parser, args.shell) + "\n")
-    return 0
+    command.set_defaults(handler=run)
 
 
 def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:

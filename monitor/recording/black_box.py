@@ -179,7 +179,9 @@ class BlackBox:
         Unix time ends clips also while no telemetry arrives.
         """
         if now_ns is not None:
-            self._pass_time(now_ns)
+            self._now_ns = now_ns
+            for clip in self._clips:
+                clip.ended |= self._is_behind(clip, now_ns)
         left, now = max_records, self._now_ns or 0
         for clip in [*self._clips]:
             if not 0 < clip.retry_ns - now <= RETRY_S * 1e9:
@@ -199,11 +201,6 @@ class BlackBox:
     def statistics(self) -> BlackBoxStatistics:
         """Return the counts so far."""
         return replace(self._counts, held_records=len(self._held), open=len(self._clips))
-
-    def _pass_time(self, now_ns: int) -> None:
-        self._now_ns = now_ns
-        for clip in self._clips:
-            clip.ended |= self._is_behind(clip, now_ns)
 
     def _is_behind(self, clip: _Clip, now_ns: int) -> bool:
         """Return whether a clip is over: after its span, or when the clock was set back to before it."""

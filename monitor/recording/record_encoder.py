@@ -239,6 +239,4 @@ class RecordEncoder:
         return number
 
 
-@functools.cache
-def _row_encoder(pb_class: Any) -> RowEncoder:
-    return RowEncoder(pb_class)
+_row_encoder = functools.cache(RowEncoder)

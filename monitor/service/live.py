@@ -86,7 +86,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
             inbox,
             station.fleet,
             lambda: station.services,
-            station.troubles,
+            lambda: station.troubles,
             turns.turn,
             turns.alive,
             config.batch_ms / 1e3,
@@ -155,7 +155,8 @@ class _Turns:
         if signal.SIGHUP in new:
             self.notifier.reloading()
             self.station.reload()
-        if self.undecided and (first := self.station.first_identified()) is not None:
+        pipelines = [service.monitor.pipeline for service in self.station.services if self.undecided]
+        if (first := next((pipeline for pipeline in pipelines if pipeline.identified), None)) is not None:
             self.undecided, self.other = False, first.refused
         self.station.turn(steady_ns)
         if self.station.reloads != reloads:

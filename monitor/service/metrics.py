@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from importlib.metadata import version
 from operator import attrgetter
 from typing import Any, Literal, NamedTuple, get_args
@@ -106,11 +106,6 @@ def _active(vehicle: VehicleHealth) -> dict[str, float]:
     return {severity: vehicle.active.get(severity, 0) for severity in get_args(Severity)}
 
 
-def _latencies(vehicle: VehicleHealth) -> dict[str, float]:
-    latency = vehicle.latency
-    return {"median": latency.p50_s, "p99": latency.p99_s, "largest": latency.max_s}
-
-
 def _figure(name: str) -> Callable[[LinkHealth], float]:
     return lambda link: math.nan if (value := getattr(link.figures, name)) is None else value
 
@@ -178,7 +173,7 @@ METRICS = (
     ),
     _VEHICLE.row(
         "fauio_vehicle_latency_recent_seconds",
-        _latencies,
+        lambda vehicle: dict(zip(("median", "p99", "largest"), astuple(vehicle.latency), strict=True)),
         "the same over the last interval: median, 99th percentile, largest",
         "statistic",
     ),

@@ -60,8 +60,9 @@ class Station:
     """The vehicles of one daemon; the session is left open by :meth:`close`.
 
     ``read_again`` reads the configuration anew, for a reload; the ``links`` return their counts, ``views`` show the
-    vehicles, the ``messengers`` tell people of their alarms. ``reloads`` counts the finished reloads, failed ones
-    included. Raises UsageError or TelemetryError if a profile cannot be used, or a folder cannot be written to.
+    vehicles, the ``messengers`` tell people of their alarms. ``troubles`` are those that concern all vehicles;
+    ``reloads`` counts the finished reloads, failed ones included. Raises UsageError or TelemetryError if a profile
+    cannot be used, or a folder cannot be written to.
     """
 
     def __init__(
@@ -99,7 +100,7 @@ class Station:
         self._reloaded: queue.SimpleQueue[tuple[Config, dict[Path, Profile]] | str] = queue.SimpleQueue()
         self._turn_ns = self._second_ns = 0
         self._minute: deque[tuple[int, dict[str, int]]] = deque(maxlen=_MINUTE_S + 1)
-        self._troubles: tuple[str, ...] = ()
+        self.troubles: tuple[str, ...] = ()
         self._health = Health(ProcessHealth())
         self._listens = endpoints("listen", config.listen, config.zenoh_config, config.zenoh_mode)
         for folder in {config.recording.folder, config.black_box.folder} - {None}:
@@ -120,19 +121,10 @@ class Station:
         folder = vehicle.profile
         return vehicle.name or (self._profiles[folder].name if folder is not None else "")
 
-    def first_identified(self) -> Pipeline | None:
-        """Return the pipeline of a vehicle that has reported its ids, None if none has."""
-        pipelines = (service.monitor.pipeline for service in self.services)
-        return next((pipeline for pipeline in pipelines if pipeline.identified), None)
-
     def announce(self) -> None:
         """Log which vehicles are monitored from the start, once everything is open."""
         for vehicle in self._config.vehicles:
             self._say_monitoring(vehicle)
-
-    def troubles(self) -> Sequence[str]:
-        """Return the troubles that concern all vehicles."""
-        return self._troubles
 
     def health(self) -> Health:
         """Return the state of everything, at most a second old; any thread may call it."""
@@ -167,7 +159,7 @@ class Station:
                 journal,
                 tuple(outlet for messenger in self._messengers for outlet in messenger.health()),
             )
-            self._troubles = tuple(troubles(self._health))
+            self.troubles = tuple(troubles(self._health))
             self._beat()
             if self._ros is not None:
                 self._ros.publish(self._health, time.time_ns())

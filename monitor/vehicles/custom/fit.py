@@ -76,7 +76,8 @@ def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
     logs, model_path = request.logs, request.model
     model = read_free_model(model_path)
     source = SampleSource(*model_channels(model))
-    gate = _gate(model)
+    gate = read_gate(model.file.root.table("phase"), GateRule(require_airborne=False, settle_s=SETTLE_S))
+    model.file.check()
     names = {channel.message for channel in source.channels}
     own = [partial(_of_one_system, log, names) for log in logs]
     rate_hz = request.grid_hz(model.example.rate_hz or _rate_hz(own, source.channels, str(model_path)))
@@ -233,12 +234,6 @@ def _findings(fit: OutputErrorFit, plant: Plant, comparison: Comparison) -> dict
 
 def _shares(data: FittedData) -> dict[str, NDArray[np.float64]]:
     return {"simulation explains": data.simulated_share, "one step ahead": data.predicted_share}
-
-
-def _gate(model: FreeModel) -> GateRule:
-    gate = read_gate(model.file.root.table("phase"), GateRule(require_airborne=False, settle_s=SETTLE_S))
-    model.file.check()
-    return gate
 
 
 def _of_one_system(log: BatchSource, names: Collection[str]) -> Iterable[Batch]:

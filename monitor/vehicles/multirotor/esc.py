@@ -158,7 +158,11 @@ def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
     found = _identified(raw, commands, signal_hz, rate_hz)
     source = SampleSource(signals=channels, fitted_hz=fitted_rates(request.surveys, commands))
     fitted = _designed(request.name, gate, raw, source, found, signals, signal_hz, rate_hz)
-    worst = {kind: max(_thresholds(fitted, kind), default=0.0) for kind in ("esc", "motor")}
+    rules = [alarm.rule for alarm in fitted.alarms]
+    worst = {
+        kind: max((rule.threshold for rule in rules if rule.channel.startswith(kind)), default=0.0)
+        for kind in ("esc", "motor")
+    }
     if worst["esc"] >= 1.0:
         raise ModelError(
             "speeds of motors do not follow their commands: only losses above "
@@ -170,10 +174,6 @@ def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
         unsteady = f"currents are not watched: they follow speeds within {left:.0f} % only"
         fitted = replace(fitted, lines=(*fitted.lines, unsteady))
     return fitted
-
-
-def _thresholds(fitted: Fitted, kind: str) -> list[float]:
-    return [alarm.rule.threshold for alarm in fitted.alarms if alarm.rule.channel.startswith(kind)]
 
 
 def _designed(

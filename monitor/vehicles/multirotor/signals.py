@@ -190,7 +190,7 @@ def motor_commands(surveys: Sequence[Survey]) -> CommandRange:
     pulses = [number for number in moving if number in rotors]
     if len(pulses) < _FEWEST_MOTORS:
         _check_rotors(surveys)
-        pulses = _in_every_log(surveys, _moves_as_pulse)
+        pulses = _in_every_log(surveys, lambda output: output.many and output.mean > IDLE_US)
     if len(set(pulses).difference(_in_every_log(surveys, _is_no_pulse))) >= _FEWEST_MOTORS:
         return CommandRange(tuple(pulses), *_PULSE_RANGE)
     moving = _in_every_log(surveys, lambda output: output.many and _is_no_pulse(output))
@@ -240,10 +240,6 @@ def range_text(commands: CommandRange, surveys: Sequence[Survey]) -> str:
 def _in_every_log(surveys: Sequence[Survey], moves: Callable[[MotorOutput], bool]) -> list[int]:
     numbers = range(1, MAX_OUTPUTS + 1)
     return [n for n in numbers if all(n in found.outputs and moves(found.outputs[n]) for found in surveys)]
-
-
-def _moves_as_pulse(output: MotorOutput) -> bool:
-    return output.many and output.mean > IDLE_US
 
 
 def _extremes(surveys: Sequence[Survey], numbers: Sequence[int]) -> tuple[int, int]:
