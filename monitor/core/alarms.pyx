@@ -53,13 +53,8 @@ cdef int64_t UNSEEN_NS = 2_000_000_000
 # Rows of explained evidence count as consecutive up to this distance: two samples of the slowest observer.
 cdef int64_t EXPLAINED_APART_NS = 2_000_000_000
 
-NONE, RAISED, UPDATED, CLEARED, EXPLAINED = range(5)
-cdef enum:
-    C_NONE = 0
-    C_RAISED = 1
-    C_UPDATED = 2
-    C_CLEARED = 3
-    C_EXPLAINED = 4
+cpdef enum:
+    NONE, RAISED, UPDATED, CLEARED, EXPLAINED
 
 
 # Earlier than any time of a vehicle's clock.
@@ -216,9 +211,9 @@ cdef class AlarmState:
                   double command, Py_ssize_t rival, const Change* change) noexcept:
         """Process one row; return the event it causes."""
         cdef int event = self.event_of(now, restart, evidence, speaking, scale, sd, command, rival, change)
-        if event == C_RAISED or event == C_UPDATED:
+        if event == RAISED or event == UPDATED:
             self.reported_command = command
-            self.rival = change.rival if event == C_RAISED and self.sudden else rival
+            self.rival = change.rival if event == RAISED and self.sudden else rival
         return event
 
     cdef int event_of(self, int64_t now, bint restart, double evidence, bint speaking, double scale, double sd,
@@ -231,11 +226,11 @@ cdef class AlarmState:
             self.sudden, self.reported_sd = True, change.sd
             # A growing change is visible only once it has grown.
             self.unseen_ns = UNSEEN_NS + (<int64_t>(self.ahead_s * NANOSECONDS) if change.growth != 0.0 else 0)
-            return C_RAISED
+            return RAISED
         # An excuse keeps an alarm from being raised; an active alarm follows its own evidence.
         if not speaking:
             self.contiguous = False
-            return C_NONE
+            return NONE
         if not self.active and self.excused(now):
             self.contiguous = False
             return self.explain(now, fabs(evidence) / scale)
@@ -247,9 +242,9 @@ cdef class AlarmState:
         if self.active:
             return self.follow(now, evidence, scale, sd, command, rival, elapsed)
         event = self.debounce(now, evidence, scale, elapsed)
-        if event == C_RAISED:
+        if event == RAISED:
             self.reported_sd = sd
-        if event == C_RAISED and not self.creeping and change.nats > 0.0 and change.onset_ns > self.ended_ns:
+        if event == RAISED and not self.creeping and change.nats > 0.0 and change.onset_ns > self.ended_ns:
             # The estimate still approaches the sudden change, whose size the test knows already.
             if change.size * evidence > 0.0:
                 self.shown = self.peak = self.reported = change.size
@@ -264,9 +259,9 @@ cdef class AlarmState:
         elapsed = elapsed if 0 < elapsed <= EXPLAINED_APART_NS else 0
         self.explained_ns = counted(self.explained_ns, elapsed, size >= self.threshold)
         if self.explained or size < self.threshold or self.explained_ns < self.raise_ns:
-            return C_NONE
+            return NONE
         self.explained = True
-        return C_EXPLAINED
+        return EXPLAINED
 
     cdef bint is_certain(self, const Change* change, double evidence) noexcept:
         """Return whether a sudden change raises the alarm.
@@ -313,8 +308,8 @@ cdef class AlarmState:
         if self.whole_ns >= self.lasting_ns and fabs(self.whole) >= self.lasting and self.whole != 0.0:
             self.raise_alarm(now, self.whole_size, self.whole_size / self.whole * self.lasting, True)
             self.lasts = True
-            return C_RAISED
-        return C_NONE
+            return RAISED
+        return NONE
 
     cdef int raise_alarm(self, int64_t now, double evidence, double size, bint creeping) noexcept:
         cdef int i
@@ -331,7 +326,7 @@ cdef class AlarmState:
         self.active, self.creeping, self.sudden, self.lasts = True, creeping, False, False
         self.critical = fabs(evidence) >= self.critical_size
         self.size, self.shown, self.peak, self.reported, self.reported_ns = size, evidence, evidence, evidence, now
-        return C_RAISED
+        return RAISED
 
     cdef int follow(self, int64_t now, double evidence, double scale, double sd, double command, Py_ssize_t rival,
                     int64_t elapsed) noexcept:
@@ -354,15 +349,15 @@ cdef class AlarmState:
         if fabs(evidence) < self.clear and not (self.creeping and kept):
             if self.unseen_ns > 0:
                 self.unseen_ns -= elapsed
-                return C_NONE
+                return NONE
             self.counter_ns += elapsed
             if self.counter_ns >= (self.latch_ns if self.recurring else self.clear_ns):
                 self.active = False
                 self.ended_ns = now
                 self.counter_ns = 0
                 self.forget()
-                return C_CLEARED
-            return C_NONE
+                return CLEARED
+            return NONE
         self.unseen_ns = 0
         self.counter_ns = 0 if self.recurring else max(0, self.counter_ns - elapsed)
         # A constant share of a command that changed is no news.
@@ -379,8 +374,8 @@ cdef class AlarmState:
                 # The peak was the rough size of before.
                 self.peak = shown
             self.reported, self.reported_ns, self.reported_sd = shown, now, sd
-            return C_UPDATED
-        return C_NONE
+            return UPDATED
+        return NONE
 
 
 cdef inline double limited(double evidence, double most) noexcept:
@@ -643,7 +638,7 @@ def walk(chains, on_event):
                 chain.sd[row, i] if chain.sd is not None and i < chain.sd.shape[1] else NAN,
                 chain.command[row, i] if chain.command is not None and i < chain.command.shape[1] else NAN,
                 chain.rival[row, i] if chain.rival is not None and i < chain.rival.shape[1] else -1, &change)
-            if event == C_RAISED:
+            if event == RAISED:
                 chain.supersede(i)
             if event:
                 on_event(best, row, i, event)

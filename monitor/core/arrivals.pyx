@@ -4,6 +4,7 @@
 A segment is processed at once: a message, and the following ones that only bring measurements.
 """
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -14,10 +15,8 @@ from adapters.message import Message
 from monitor.alarms.command_watch import COMMANDS, commanded_systems
 from monitor.sampling.phase import FlightPhase
 
-from cpython.buffer cimport PyBUF_STRIDES, Py_buffer, PyBuffer_Release, PyObject_GetBuffer
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
 from libc.stdint cimport int64_t
-from libc.string cimport memcpy
 
 cdef enum:
     # Marks of a message: it carries a channel; an autopilot's heartbeat; it begins a segment.
@@ -116,23 +115,15 @@ cdef class Arrivals:
         return 0
 
     cdef int _add_columns(self, columns, bint carries, char marks) except -1:
-        cdef Py_buffer position, received
+        cdef const int64_t[:] position = columns.position, received = columns.received_ns
         cdef Py_ssize_t row, i
         cdef bint reports = marks or columns.name in FlightPhase.interests
-        PyObject_GetBuffer(columns.position, &position, PyBUF_STRIDES)
-        try:
-            PyObject_GetBuffer(columns.received_ns, &received, PyBUF_STRIDES)
-            try:
-                for row in range(position.shape[0]):
-                    i = _whole(&position, row)
-                    self._add(i, _whole(&received, row), carries)
-                    self._arrivals[i].marks |= marks
-                    if reports:
-                        self._reports[i] = one_message(columns, row)
-            finally:
-                PyBuffer_Release(&received)
-        finally:
-            PyBuffer_Release(&position)
+        for row in range(position.shape[0]):
+            i = position[row]
+            self._add(i, received[row], carries)
+            self._arrivals[i].marks |= marks
+            if reports:
+                self._reports[i] = one_message(columns, row)
         self._owners.append(columns)
         return 0
 
@@ -140,7 +131,7 @@ cdef class Arrivals:
         """Mark heartbeats, and the messages that change the flight phase."""
         if not self._reports:
             return 0
-        follower = phase.copy()
+        follower = copy(phase)
         for i in sorted(self._reports):
             message = self._reports[i]
             if is_autopilot_heartbeat(message):
@@ -297,12 +288,3 @@ cdef bint _commands(entry, int system):
     """Return whether a message (or one of columns) commands the vehicle."""
     targets = commanded_systems(entry) if entry.name in COMMANDS else ()
     return bool(targets) and (0 in targets or system in targets)
-
-
-cdef int64_t _whole(const Py_buffer* column, Py_ssize_t row) except? -1:
-    """Return a number of a column of int64."""
-    cdef int64_t number
-    if column.itemsize != sizeof(int64_t):
-        raise TypeError("positions and times of arrival have to be columns of int64")
-    memcpy(&number, <const char*>column.buf + row * column.strides[0], sizeof(int64_t))
-    return number

@@ -267,12 +267,6 @@ class FlightPhase:
         """Follow that it flies, although it does not report whether it does."""
         self._has_been = self._has_been[0], True
 
-    def copy(self) -> FlightPhase:
-        """Return a phase of its own with the same state."""
-        phase = FlightPhase()
-        vars(phase).update(vars(self))
-        return phase
-
     def feed(self, message: Message) -> None:
         """Follow a message; other messages than :attr:`interests` change nothing."""
         if message.name not in self.interests:
@@ -280,15 +274,7 @@ class FlightPhase:
         now_ns = message.received_ns
         self.logged |= message.source.is_onboard_log
         if message.name == "GLOBAL_POSITION_INT":
-            height = message.fields.get("relative_alt")
-            above_mm = height if message.source is MAVLINK and isinstance(height, int | float) else nan
-            self._height_ns = now_ns
-            self._high_ns = now_ns if above_mm > _HIGH_MM else None
-            if abs(above_mm) > _HIGH_MM:
-                self._away_ns = now_ns
-            # A forged height of home among true heights must not end the watch.
-            was_away = self._away_ns is not None and 0 <= now_ns - self._away_ns < _AWAY_NS
-            self._low_ns = now_ns if abs(above_mm) <= _HIGH_MM and not was_away else None
+            self._follow_height(message)
             return
         if message.name == "GPS_RAW_INT":
             self._follow_position(message)
@@ -307,19 +293,7 @@ class FlightPhase:
         if message.source is not MAVLINK:
             return
         if message.name == "EXTENDED_SYS_STATE":
-            state, on = message.fields.get("landed_state"), message.fields.get("vtol_state")
-            landed = _LANDED.get(state) if isinstance(state, int) else None
-            self.hovers |= self._landed in (None, "air") and landed == "landing"
-            self._landed = "air" if (self._landed, landed) == ("air", "takeoff") else landed
-            self.carried = _CARRIED.get(on) if isinstance(on, int) else None
-            if not self.logged:
-                self._landings = self._landings.after(now_ns, self._landed)
-            if self._height_ns is not None and not 0 <= now_ns - self._height_ns < _RECENT_NS:
-                self._high_ns = self._height_ns = None
-            self._sinks &= self._fix_ns is not None and 0 <= now_ns - self._fix_ns < _RECENT_NS
-            self.hovers &= self.level
-            if self._landings.contested and "air" in self._landings.recent():
-                self._landed = "air"
+            self._follow_landed(message)
         elif is_heartbeat and isinstance(mode, int):
             if self._low_ns is not None and not 0 <= now_ns - self._low_ns < _RECENT_NS:
                 self._low_ns = None
@@ -337,6 +311,32 @@ class FlightPhase:
             contested.add("landed_state")
         other, other_ns = self._other
         self.contested = tuple(sorted(contested | {other} if 0 <= now_ns - other_ns < _WINDOW_NS else contested))
+
+    def _follow_height(self, message: Message) -> None:
+        now_ns, height = message.received_ns, message.fields.get("relative_alt")
+        above_mm = height if message.source is MAVLINK and isinstance(height, int | float) else nan
+        self._height_ns = now_ns
+        self._high_ns = now_ns if above_mm > _HIGH_MM else None
+        if abs(above_mm) > _HIGH_MM:
+            self._away_ns = now_ns
+        # A forged height of home among true heights must not end the watch.
+        was_away = self._away_ns is not None and 0 <= now_ns - self._away_ns < _AWAY_NS
+        self._low_ns = now_ns if abs(above_mm) <= _HIGH_MM and not was_away else None
+
+    def _follow_landed(self, message: Message) -> None:
+        now_ns, state, on = message.received_ns, message.fields.get("landed_state"), message.fields.get("vtol_state")
+        landed = _LANDED.get(state) if isinstance(state, int) else None
+        self.hovers |= self._landed in (None, "air") and landed == "landing"
+        self._landed = "air" if (self._landed, landed) == ("air", "takeoff") else landed
+        self.carried = _CARRIED.get(on) if isinstance(on, int) else None
+        if not self.logged:
+            self._landings = self._landings.after(now_ns, self._landed)
+        if self._height_ns is not None and not 0 <= now_ns - self._height_ns < _RECENT_NS:
+            self._high_ns = self._height_ns = None
+        self._sinks &= self._fix_ns is not None and 0 <= now_ns - self._fix_ns < _RECENT_NS
+        self.hovers &= self.level
+        if self._landings.contested and "air" in self._landings.recent():
+            self._landed = "air"
 
     def _follow_position(self, message: Message) -> None:
         """Follow by the GPS whether the vehicle moves, and by its altitude whether it sinks."""
