@@ -1825,8 +1825,8 @@ def sample_batch(VehicleClock clock not None, samplers, batch, bint stops=False)
     cdef _Messages group
     cdef list groups = [], feeds
     cdef dict singles = {}
-    cdef int* owner
-    cdef nanoseconds* newest
+    cdef int[::1] owners
+    cdef nanoseconds[::1] newest
     for columns in batch.columns:
         feeds = _interested(samplers, columns.name)
         if feeds:
@@ -1838,28 +1838,22 @@ def sample_batch(VehicleClock clock not None, samplers, batch, bint stops=False)
         feeds = _interested(samplers, name)
         if feeds:
             groups.append(_of_messages(members, feeds))
-    newest_ns = np.empty(count, np.int64)
-    newest = <nanoseconds*>_data(newest_ns)
-    owner = <int*>_resized(NULL, (count + 1) * sizeof(int))
+    newest_ns, owner = np.empty(count, np.int64), np.full(count, -1, np.intc)
+    newest, owners = newest_ns, owner
+    for number, group in enumerate(groups):
+        for place in range(group.count):
+            if not 0 <= group.position[place] < count:
+                raise IndexError("a message lies outside of its batch")
+            owners[group.position[place]] = number
     clock._began = False
-    try:
-        for place in range(count):
-            owner[place] = -1
-        for number, group in enumerate(groups):
-            for place in range(group.count):
-                if not 0 <= group.position[place] < count:
-                    raise IndexError("a message lies outside of its batch")
-                owner[group.position[place]] = number
-        for place in range(count):
-            if owner[place] >= 0:
-                group = <_Messages>groups[owner[place]]
-                group.feed_next(place)
-            newest[place] = clock.newest_ns
-            if stops and clock._began:
-                used = place + 1
-                break
-    finally:
-        PyMem_Free(owner)
+    for place in range(count):
+        if owners[place] >= 0:
+            group = <_Messages>groups[owners[place]]
+            group.feed_next(place)
+        newest[place] = clock.newest_ns
+        if stops and clock._began:
+            used = place + 1
+            break
     collected = [(<SamplerCore?>sampler).collect() for sampler in samplers]
     return Taken(tuple([pair[0] for pair in collected]), tuple([pair[1] for pair in collected]), newest_ns, used)
 
