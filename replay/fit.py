@@ -346,13 +346,7 @@ def _is_another(kind: VehicleKind, says: str) -> bool:
 
 
 def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
-    """Check that the last of some recordings is of this kind of vehicle, and of the same vehicle as the others.
-
-    Raises
-    ------
-    OtherVehicleError
-        The recording reports another kind or another vehicle.
-    """
+    """Raise an OtherVehicleError unless the last recording is of this kind, and of the same vehicle as the others."""
     last = surveyed[-1]
     # ArduPilot's VTOL planes report that they are planes.
     says = "vtol" if last.survey.is_vtol else last.identity.vehicle_type

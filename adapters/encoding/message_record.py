@@ -101,15 +101,7 @@ def recorded_name(topic: str, encoding: str, schema: Schema | None) -> str | Non
 
 
 def decoder(topic: str, encoding: str, schema: Schema | None) -> Decode:
-    """Return a function from the records of a log's channel, ours or others', to messages.
-
-    It raises a ValueError for an invalid record.
-
-    Raises
-    ------
-    ValueError
-        Records of this encoding or schema cannot be read; the text says why.
-    """
+    """Return a function from the records of a log's channel, ours or others', as :func:`foreign_decoder` does."""
     name = recorded_name(topic, encoding, schema)
     if name is None:
         return foreign_decoder(topic, encoding, schema)

@@ -169,13 +169,7 @@ def builtin_mapping(source: str) -> LogMapping:
 
 
 def read_mapping(path: str | os.PathLike[str], source: str) -> LogMapping:
-    """Return the built-in tables, with those of a user's TOML file instead of the ones of the same message.
-
-    Raises
-    ------
-    TelemetryError
-        The file cannot be read or a table is invalid.
-    """
+    """Return the built-in tables, with those of a user's TOML file instead of the ones of the same message."""
     own = parse_mapping(read_toml(Path(path), TelemetryError))
     return LogMapping({**builtin_mapping(source).rules, **own.rules})
 

@@ -135,13 +135,7 @@ def resolve(url: str, host_port: str) -> Address:
 
 
 def udp_address(url: str, said: str = "") -> Address:
-    """Return the address to which ``udp:HOST:PORT`` sends datagrams; ``udpout:`` is the same.
-
-    Raises
-    ------
-    TelemetryError
-        See :func:`resolve`; the message starts with ``said``, by default ``url``.
-    """
+    """Return the address to which ``udp:HOST:PORT`` or ``udpout:`` sends; errors name ``said``, otherwise the URL."""
     kind, _, where = url.partition(":")
     if kind not in ("udp", "udpout"):
         raise TelemetryError(f"{said or url}: use udp:HOST:PORT")

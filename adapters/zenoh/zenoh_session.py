@@ -110,11 +110,6 @@ def endpoints(
     """Return what :func:`open_session` connects to, or listens on: the file's endpoints, otherwise the given ones.
 
     ``mode`` is Zenoh's mode if the file does not set one; the file may name endpoints by mode.
-
-    Raises
-    ------
-    TelemetryError
-        The file is missing or not valid.
     """
     config, text = _read_config(config_file)
     key = f"{side}/endpoints"

@@ -297,11 +297,6 @@ def sloped_dynamics(plant: Plant, *, sampled: bool = False) -> tuple[FloatArray,
     How actuator faults move the states there is E_f + G Delta H_f (:func:`sloped_faults`).
 
     Where they are ``sampled``, the vertices are those of :func:`sampled_vertices`.
-
-    Raises
-    ------
-    InfeasibleError
-        Too many slopes vary.
     """
     slopes = sampled_vertices(plant) if sampled else slope_vertices(plant)
     middle, _, into = _slope_ranges(plant)

@@ -238,8 +238,6 @@ def check_plant(plant: Plant, rate_hz: float | None = None) -> Check:
     ------
     ModelError
         The plant has no faults or cannot be sampled at that rate.
-    InfeasibleError
-        Too many slopes vary.
     """
     if not plant.faults:
         raise ModelError(f"{plant.name}: 'fault' is empty; there is nothing to estimate")

@@ -79,13 +79,7 @@ def restricted(plant: Plant, faults: Iterable[str]) -> Plant:
 
 
 def estimability(plant: Plant) -> Estimability:
-    """Return which of the declared faults can be estimated together, and why not all.
-
-    Raises
-    ------
-    InfeasibleError
-        Too many slopes vary.
-    """
+    """Return which of the declared faults can be estimated together, and why not all."""
     names = tuple(fault.name for fault in plant.faults)
     if problem_of(plant, names) is None:
         return Estimability((names,), ())

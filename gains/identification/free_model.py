@@ -70,23 +70,11 @@ class FreeModel:
         return np.array([parameter.start for parameter in self.parameters])
 
     def plant(self, values: Sequence[float] | FloatArray) -> Plant:
-        """Return the plant with the free parameters at ``values`` (k,).
-
-        Raises
-        ------
-        ModelError
-            An expression has no value there, or the plant is impossible; the message names file and key.
-        """
+        """Return the plant with the free parameters at ``values`` (k,), or raise a ModelError with file and key."""
         return read_plant(self._resolved(self._named(values)))
 
     def dynamics(self, values: Sequence[float] | FloatArray) -> Dynamics:
-        """Return the dynamics for a simulation, without the slope bounds that make :meth:`plant` slow.
-
-        Raises
-        ------
-        ModelError
-            An expression has no value at ``values`` (k,).
-        """
+        """Return the dynamics for a simulation, without the slope bounds that make :meth:`plant` slow."""
         named, plant = self._named(values), self.example
         names = tuple(named)
         file = self._resolved(named, ("offset", "curves", "nonlinearity", *_MATRICES))

@@ -105,13 +105,7 @@ def parse_expression(text: str, arguments: Sequence[str]) -> Node:
 
 
 def compile_expression(text: str, arguments: Sequence[str]) -> Callable[..., float]:
-    """Return ``g(*nu)`` for scalars: NaN if the expression has no value, never an exception.
-
-    Raises
-    ------
-    ModelError
-        The text is not a valid expression.
-    """
+    """Return :func:`compile_node` of the tree of an expression."""
     return compile_node(parse_expression(text, arguments))
 
 

@@ -66,13 +66,7 @@ def load_model(name_or_path: str | Path) -> Plant:
 
 
 def builtin_model(name: str) -> Plant:
-    """Return the built-in model of that name.
-
-    Raises
-    ------
-    ModelError
-        There is none.
-    """
+    """Return the built-in model of that name; another name is a ModelError."""
     if name not in BUILTIN_MODELS:
         raise ModelError(f"{name}: no built-in model; there are {', '.join(BUILTIN_MODELS)}")
     return read_model(Path(__file__).parent.parent / "models" / f"{name}.toml")

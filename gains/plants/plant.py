@@ -390,14 +390,9 @@ def _checked_signal(signal: Signal, size: int, key: str, index: int) -> Signal:
 
 
 def check_independence(plant: Plant) -> None:
-    """Refuse faults whose directions depend on each other: no observer could distinguish them.
+    """Refuse faults whose directions depend on each other with a ModelError that names them.
 
-    A plant may have such faults, so that a check can explain them; a design for all of them is impossible.
-
-    Raises
-    ------
-    ModelError
-        The direction of a fault is a combination of those of others; the message names them.
+    A plant may have such faults, so that a check can explain them; no observer could distinguish them.
     """
     for symbol, columns, faults in (
         ("E_f", plant.E_f / plant.state_errors[:, None], plant.actuator_faults),

@@ -77,14 +77,7 @@ def slope_bounds(text: str, arguments: Sequence[str], ranges: Sequence[Interval]
 
 
 def check_slopes(text: str, arguments: Sequence[str], ranges: Sequence[Interval], declared: Sequence[Interval]) -> None:
-    """Prove declared slope bounds.
-
-    Raises
-    ------
-    ModelError
-        The expression violates a bound (the message gives the point and the slope there), or the bound could
-        be neither proven nor refuted.
-    """
+    """Prove declared slope bounds, or raise a ModelError: one is violated, or can be neither proven nor refuted."""
     node, box = parse_expression(text, arguments), tuple(ranges)
     _check_defined(node, box, text, arguments)
     for j, name in enumerate(arguments):

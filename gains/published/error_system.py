@@ -106,13 +106,6 @@ def error_norm(
     """Return the norm of an observer's error over all slope vertices.
 
     The norm is against [w; w'; fa'], or with ``"disturbances"`` against [w; w'] alone, with every fault constant.
-
-    Raises
-    ------
-    ModelError
-        As :func:`published_error_system`.
-    InfeasibleError
-        Too many slopes vary.
     """
     norms: list[ErrorNorm] = []
     kept = 2 * plant.D.shape[1] + (len(plant.actuator_faults) if inputs == "all" else 0)

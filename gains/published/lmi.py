@@ -100,13 +100,7 @@ def reported_bound(mu: Any) -> float:
 
 
 def confirmed(observer: ContinuousObserver, inputs: Inputs = "all") -> ContinuousObserver:
-    """Return the observer if the norm of its gains is at or below the bound it reports.
-
-    Raises
-    ------
-    InaccurateError
-        The norm is larger: the bound does not hold.
-    """
+    """Return the observer, or raise an InaccurateError if the norm of its gains is above the bound it reports."""
     norm = error_norm(observer.plant, observer, noise_path="all", inputs=inputs)
     if not norm.confirms(math.inf if observer.sqrt_mu is None else observer.sqrt_mu):
         raise InaccurateError(

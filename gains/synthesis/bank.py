@@ -49,11 +49,6 @@ def design_bank(
     """Return a certified observer for each of the :func:`admissible_hypotheses`, at a rate or that of a discrete model.
 
     ``together`` are sets of faults that get an observer, too, if all faults of the set can be estimated.
-
-    Raises
-    ------
-    ModelError, InfeasibleError, InaccurateError
-        As :func:`gains.synthesis.convex.design_convex`, or no fault can be estimated even by itself.
     """
     from gains.synthesis.convex import design_convex
 
@@ -63,13 +58,7 @@ def design_bank(
 
 
 def compile_bank(plant: Plant, bank: Sequence[Hypothesis]) -> tuple[Gains, ...]:
-    """Return the compiled gains of each hypothesis, marked as designed for the whole plant.
-
-    Raises
-    ------
-    InaccurateError
-        A certificate does not hold.
-    """
+    """Return the compiled, certified gains of each hypothesis, marked as designed for the whole plant."""
     from gains.synthesis.certificate import certify
     from gains.synthesis.compilation import compile_gains
 

@@ -72,13 +72,8 @@ def blocks_of(plant: Plant) -> tuple[PlantBlock, ...]:
 def design_blocks(plant: Plant, *, h2: float = 0.0) -> Design:
     """Design an observer for a discrete plant without nonlinearities block by block and prove it.
 
-    Each block has a state, an output and a fault; all are designed with the same ``h2``.
-
-    Raises
-    ------
-    ModelError, InfeasibleError, InaccurateError
-        As :func:`gains.synthesis.convex.design_convex`, or a block has no fault, or the whole does not pass its
-        certificate.
+    Each block has a state, an output and a fault; all are designed with the same ``h2``. Fails as
+    :func:`gains.synthesis.convex.design_convex` does.
     """
     started = time.perf_counter()
     blocks = blocks_of(plant)

@@ -71,18 +71,13 @@ def fauio_observer(
     method: str,
     inverse: ObserverMatrices | None = None,
 ) -> ContinuousObserver:
-    """Return the observer of the paper's structure for given gains, as yet without a bound.
+    """Return the observer of the paper's structure for a continuous plant and given gains, as yet without a bound.
 
     eta' = N eta + J y + L1 (B v + c + G g(x^) + E_f fa^),  zeta^ = eta + F y,  yt = y - Cb zeta^
     q'   = L_i yt + L_q x^',  fa^ = q + F_q y + L_p yt;  s = [eta; q],
 
     with the left inverse of ``inverse``, or the pseudo-inverse without it. The paper's law fa^' = beta L2 (yt + yt') is
     L_p = L_i = beta L2, integrated once so that nothing is differentiated. K is (nz, p), L_i and L_p are (a1, p).
-
-    Raises
-    ------
-    ModelError
-        The model is discrete.
     """
     check_continuous(plant)
     augmentation = augment(plant)
@@ -118,13 +113,7 @@ def designed_observer(plant: Plant, design: Design) -> ContinuousObserver:
 
 
 def check_continuous(plant: Plant) -> None:
-    """Refuse a discrete plant.
-
-    Raises
-    ------
-    ModelError
-        The model is discrete.
-    """
+    """Refuse a discrete plant with a ModelError."""
     if plant.domain != "continuous":
         raise ModelError(f"{plant.name}: the model is discrete; a continuous design needs a continuous model")
 
@@ -136,8 +125,6 @@ def compile_continuous(observer: ContinuousObserver, rate_hz: float, report: Map
     ------
     ModelError
         The rate is not positive, or the observer is unstable at that rate for a slope of the nonlinearities.
-    InfeasibleError
-        Too many slopes vary.
     """
     plant = observer.plant
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):

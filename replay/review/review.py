@@ -124,11 +124,6 @@ def review_log(path: Path, *, learn: bool = True) -> LogReview:
     """Return the verdict on a log.
 
     ``learn`` tells whether to watch the log with a profile learned from its begin, which takes seconds.
-
-    Raises
-    ------
-    TelemetryError
-        The file is no recording, or the vehicle reports nothing in it.
     """
     facts, damage = read_facts(path)
     if learn:

@@ -89,13 +89,7 @@ class Healthy:
 
 
 def play_healthy(profile: Profile, recorded: Iterable[Batch]) -> Healthy:
-    """Run a healthy recording through a profile's pipeline; it follows the vehicle that the pipeline chooses.
-
-    Raises
-    ------
-    OtherVehicleError
-        The recording reports another vehicle than the profile's.
-    """
+    """Run a healthy recording through a profile's pipeline, which refuses that of another vehicle."""
     pipeline = Pipeline(profile)
     batches: list[Batch] = []
     estimates: dict[str, list[Estimates]] = {observer.name: [] for observer in profile.observers}
