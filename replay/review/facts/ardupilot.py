@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -14,8 +14,10 @@ from monitor.vehicles.multirotor.frames import MOTOR_FUNCTIONS
 from replay.review.facts.log_facts import (
     ANGLES,
     NO_SIGNAL,
+    RATIOS,
     SUBMARINE,
     UNKNOWN_LEVEL,
+    Changes,
     LogFacts,
     LogRecords,
     LogSignal,
@@ -60,34 +62,23 @@ _THROTTLE_CHANNEL = 3
 _MOST_VOLTS = 100.0
 """Largest voltage of a vehicle: before version 3.3 logs have hundredths of volts and amperes."""
 _OUTPUTS = 14
-_OUTPUT_WORDS = ("C", "Ch", "Chan")
-"""Words before an output's number: today's, those before ArduPilot 3.4, and those before 3.2."""
+_OUTPUT_FIELDS = ("C{}", "Ch{}", "Chan{}")
+"""Fields of outputs by their numbers: today's, those before ArduPilot 3.4, and those before 3.2."""
 
 
 def ardupilot_facts(records: LogRecords) -> LogFacts:
     """Return the facts that a log of ArduPilot states."""
     get = records.signal
     end_s = records.duration_s + 1e-3
-    events = get("EV", ["Id"], ["event"], "")
-    event = list(zip(events.time_s.tolist(), events.only.astype(int).tolist(), strict=True))
-    arming = get("ARM", ["ArmState"], ["armed"], "").changes() or [
-        (at, float(kind == _ARMED)) for at, kind in event if kind in (_ARMED, _DISARMED)
-    ]
-    if not arming or not arming[0][1]:
-        # the log begins at arming
-        arming = [(0.0, 1.0), *arming]
+    arming, landing = _changes(records)
     armed = state_spans(arming, end_s)
-    landing = [(at, float(kind == _LANDED)) for at, kind in event if kind in (_LANDED, _IN_THE_AIR)]
-    if landing and landing[0][1]:
-        # the log begins in the air
-        landing = [(0.0, 0.0), *landing]
     texts = [(at, str(row.get("Message", ""))) for at, row in records.listed("MSG")]
     words = [*(text for _, text in texts), *(word for name, word in _OWN.items() if name in records.parameters)]
     vehicle, kind = next((known for text in words for word, known in _VEHICLES.items() if word in text), ("", 0))
     signals: dict[str, LogSignal] = {}
     lacks: dict[str, str] = {}
     if vehicle in ("", "multirotor"):
-        signals["motors"] = output_commands(records, armed, partial(_outputs, records), 4)
+        signals["motors"] = output_commands(records, armed, "RCOU", _OUTPUT_FIELDS, 4)
     signals["rpm"] = _rpm(records)
     signals["attitude"] = get("ATT", ["Roll", "Pitch", "Yaw"], ANGLES, "deg")
     signals["attitude_wanted"] = first_known(*(get("ATT", columns, ANGLES, "deg") for columns in _wanted(records)))
@@ -106,24 +97,17 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     flight = overlap(air, armed)
     signals["climb"] = get(f"{kalman}1", ["VD"], ["climb"], "m/s", -1.0)
     signals["climb_wanted"] = get("PSCD", ["TVD"], ["wanted"], "m/s", -1.0)
-    signals["acceleration"] = get("IMU", ["AccX", "AccY", "AccZ"], ["x", "y", "z"], "m/s2")
-    battery = first_known(*(get(name, ["Volt", "Curr"], ["voltage", "current"], "V, A") for name in ("BAT", "CURR")))
-    most = np.nanmax(battery.only, initial=0.0)
-    if most > _MOST_VOLTS:
-        battery = replace(battery, values=battery.values / 100.0)
-    if battery and most <= 1.0:
-        lacks["battery"] = "its voltage is below 1 V from begin to end: no sensor is connected"
-    else:
-        signals["battery"] = battery
-    used = get("GPS", ["U"], ["used"], "")
+    signals["acceleration"] = get("IMU", ["AccX", "AccY", "AccZ"], "xyz", "m/s2")
+    signals["battery"] = _battery(records, lacks)
+    used = get("GPS", ["U"])
     if used and not used.only[inside(used.time_s, flight)].any():
         lacks["gps"] = "the log says that its receiver was not used"
     else:
-        signals["gps"] = get("GPS", ["Status", "NSats"], ["fix", "satellites"], "")
-    signals["climb_received"] = get("GPS", ["VZ", "Status"], ["down", "fix"], "").climb()
-    signals["position"] = get("GPS", ["Lat", "Lng", "Status"], ["north", "east", "fix"], "").way()
-    signals["ratios"] = get(f"{kalman}4", ["SV", "SP", "SH"], ["velocity", "position", "height"], "")
-    vibration = get("VIBE", ["VibeX", "VibeY", "VibeZ"], ["x", "y", "z"], "m/s2")
+        signals["gps"] = get("GPS", ["Status", "NSats"], ["fix", "satellites"])
+    signals["climb_received"] = get("GPS", ["VZ", "Status"]).climb()
+    signals["position"] = get("GPS", ["Lat", "Lng", "Status"]).way()
+    signals["ratios"] = get(f"{kalman}4", ["SV", "SP", "SH"], RATIOS)
+    vibration = get("VIBE", ["VibeX", "VibeY", "VibeZ"], unit="m/s2")
     signals["vibration"] = vibration.each_sample("vibration", np.max)
     signals["clipping"] = get("VIBE", ["Clip"], ["clipped"], "samples")
     return LogFacts(
@@ -133,18 +117,47 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     )  # fmt: skip
 
 
+def _changes(records: LogRecords) -> tuple[Changes, Changes]:
+    """Return the changes between disarmed and armed, and between in the air and landed."""
+    events = records.signal("EV", ["Id"])
+    event = list(zip(events.time_s.tolist(), events.only.astype(int).tolist(), strict=True))
+    arming = records.signal("ARM", ["ArmState"]).changes() or [
+        (at, float(kind == _ARMED)) for at, kind in event if kind in (_ARMED, _DISARMED)
+    ]
+    if not arming or not arming[0][1]:
+        # the log begins at arming
+        arming = [(0.0, 1.0), *arming]
+    landing = [(at, float(kind == _LANDED)) for at, kind in event if kind in (_LANDED, _IN_THE_AIR)]
+    if landing and landing[0][1]:
+        # the log begins in the air
+        landing = [(0.0, 0.0), *landing]
+    return arming, landing
+
+
+def _battery(records: LogRecords, lacks: dict[str, str]) -> LogSignal:
+    read = partial(records.signal, columns=["Volt", "Curr"], shown=["voltage", "current"], unit="V, A")
+    battery = first_known(read("BAT"), read("CURR"))
+    most = np.nanmax(battery.only, initial=0.0)
+    if battery and most <= 1.0:
+        lacks["battery"] = "its voltage is below 1 V from begin to end: no sensor is connected"
+        return NO_SIGNAL
+    return replace(battery, values=battery.values / 100.0) if most > _MOST_VOLTS else battery
+
+
 def output_commands(
-    records: LogRecords, armed: Spans, outputs: Callable[[Sequence[int], Sequence[str]], LogSignal], first: int
+    records: LogRecords, armed: Spans, name: str, fields: Iterable[str], first: int, system: int = 0
 ) -> LogSignal:
     """Return the commands of the outputs that are motors by the parameters; else of the first outputs if all move.
 
-    ``outputs`` returns the pulses of outputs with these numbers, under these names.
+    Their pulses are in records of this name, in the first of ``fields`` that they have; {} is an output's number.
     """
     said = {k: records.parameters.get(f"SERVO{k}_FUNCTION") for k in range(1, _OUTPUTS + 1)}
     motors = {k: MOTOR_FUNCTIONS[int(function)] for k, function in said.items() if function in MOTOR_FUNCTIONS}
     numbers = motors or {k: k - 1 for k in range(1, first + 1)}
     low, high = _pulse_range(records.parameters)
-    pulses = outputs(list(numbers), [f"motor{index + 1}" for index in numbers.values()])
+    shown = [f"motor{index + 1}" for index in numbers.values()]
+    columns = ([field.format(k) for k in numbers] for field in fields)
+    pulses = first_known(*(records.signal(name, column, shown, "us", system=system) for column in columns))
     during = pulses.values[inside(pulses.time_s, armed)]
     if not motors and not (len(during) and np.ptp(during, axis=0).all()):
         return NO_SIGNAL
@@ -166,17 +179,11 @@ def _pulse_range(parameters: Mapping[str, float]) -> tuple[float, float]:
     return low, low + (high - low) * curve / 100.0
 
 
-def _outputs(records: LogRecords, numbers: Sequence[int], names: Sequence[str]) -> LogSignal:
-    """Return some outputs, by the names that the autopilot's version uses."""
-    known = (records.signal("RCOU", [f"{word}{k}" for k in numbers], names, "us") for word in _OUTPUT_WORDS)
-    return first_known(*known)
-
-
 def _wanted(records: LogRecords) -> Iterator[list[str]]:
     """Yield the possible names of the wanted attitude's fields."""
     yield ["DesRoll", "DesPitch", "DesYaw"]
     # before 3.2; in acro mode they held the sticks
-    modes = (records.signal("MODE", [column], ["mode"], "").only for column in ("ModeNum", "Mode"))
+    modes = (records.signal("MODE", [column]).only for column in ("ModeNum", "Mode"))
     if not any((numbers == _ACRO).any() for numbers in modes):
         yield ["RollIn", "PitchIn", "NavYaw"]
 
@@ -233,9 +240,9 @@ def _rpm(records: LogRecords) -> LogSignal:
 def _statements(records: LogRecords, texts: Sequence[tuple[float, str]], kind: int) -> Iterator[Statement]:
     for at, text in texts:
         yield Statement(at, "text", text, UNKNOWN_LEVEL)
-    for at, value in records.signal("MODE", ["ModeNum"], ["mode"], "").changes():
+    for at, value in records.signal("MODE", ["ModeNum"]).changes():
         yield Statement(at, "mode", f"mode {mode_name(ARDUPILOT, kind, 0, int(value)) or int(value)}")
-    errors = records.signal("ERR", ["Subsys", "ECode"], ["subsystem", "code"], "")
+    errors = records.signal("ERR", ["Subsys", "ECode"])
     for at, (subsystem, code) in zip(errors.time_s.tolist(), errors.values.astype(int).tolist(), strict=True):
         if code and subsystem not in _NO_FAILSAFE:
             yield Statement(at, "failsafe", f"{_SUBSYSTEMS.get(subsystem, f'subsystem {subsystem}')} (code {code})", 1)

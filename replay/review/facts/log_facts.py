@@ -23,6 +23,7 @@ Changes = Sequence[tuple[float, float]]
 Spans = Sequence[tuple[float, float]]
 """Begins and ends of a state, in order."""
 ANGLES = ("roll", "pitch", "yaw")
+RATIOS = ("velocity", "position", "height")
 SUBMARINE = "submarine"
 
 
@@ -387,11 +388,17 @@ class LogRecords:
         yield from {**dict.fromkeys(self._columns), **dict.fromkeys(self.rows)}
 
     def signal(
-        self, name: str, columns: Sequence[str], names: Sequence[str], unit: str, scale: float = 1.0, system: int = 0
+        self,
+        name: str,
+        columns: Sequence[str],
+        shown: Sequence[str] = (),
+        unit: str = "",
+        scale: float = 1.0,
+        system: int = 0,
     ) -> LogSignal:
         """Return fields of a record as a signal, without values if the log has no such record or field.
 
-        ``columns`` are names of fields, followed by ``[k]`` for an element of a list.
+        ``columns`` are names of fields, followed by ``[k]`` for an element of a list, and ``shown`` the names shown.
         """
         parts = self._columns.get((name, system), [])
         taken: list[tuple[NDArray[np.int64], Floats]] = []
@@ -401,8 +408,8 @@ class LogRecords:
                 taken.append((times_ns, np.stack([column for column in values if column is not None], axis=1)))
         times = np.concatenate([np.empty(0, np.int64), *(times_ns for times_ns, _ in taken)])
         order = np.argsort(times, kind="stable")
-        values_of = np.concatenate([np.empty((0, len(names))), *(rows for _, rows in taken)])[order] * scale
-        return LogSignal((times[order] - self.first_ns) / 1e9, values_of, tuple(names), unit, name)
+        values_of = np.concatenate([np.empty((0, len(columns))), *(rows for _, rows in taken)])[order] * scale
+        return LogSignal((times[order] - self.first_ns) / 1e9, values_of, tuple(shown or columns), unit, name)
 
     def listed(self, name: str, system: int = 0) -> list[tuple[float, Mapping[str, Any]]]:
         """Return a record's fields row by row, with the time of each row, in order."""

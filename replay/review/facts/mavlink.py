@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from replay.review.facts.log_facts import (
     ANGLES,
     BEGIN_S,
     NO_SIGNAL,
+    RATIOS,
     SUBMARINE,
     LogFacts,
     LogRecords,
@@ -73,12 +75,9 @@ _HECTOPASCAL_M = 8.43
 def mavlink_facts(records: LogRecords) -> LogFacts:
     """Return the facts that a recording of telemetry states about its first autopilot."""
     system, kind, autopilot = _vehicle(records)
-
-    def get(name: str, columns: Sequence[str], names: Sequence[str], unit: str, scale: float = 1.0) -> LogSignal:
-        return records.signal(name, columns, names, unit, scale, system)
-
+    get = partial(records.signal, system=system)
     end_s = records.duration_s + 1e-3
-    modes = get("HEARTBEAT", ["base_mode", "custom_mode", "autopilot"], ["base", "custom", "autopilot"], "")
+    modes = get("HEARTBEAT", ["base_mode", "custom_mode", "autopilot"])
     modes = _where(modes.values[:, 2] != _NO_AUTOPILOT, modes)
     arming = modes.changes(lambda base: base.astype(int) & _ARMED > 0)
     armed = state_spans(arming, end_s)
@@ -86,51 +85,35 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
     lacks: dict[str, str] = {}
     pressures = (get(name, [column], ["barometer"], "m", -_HECTOPASCAL_M) for name, column in _PRESSURES.items())
     signals["height"] = first_known(*(_where(of.only < 0.0, of) for of in pressures)).above_begin()
-    forces = [get(name, ["xacc", "yacc", "zacc"], ["x", "y", "z"], "m/s2", scale) for name, scale in IMUS.items()]
+    forces = [get(name, ["xacc", "yacc", "zacc"], "xyz", "m/s2", scale) for name, scale in IMUS.items()]
     signals["acceleration"] = first_known(*filter(_shows_blows, forces), NO_SIGNAL)
     if any(forces) and not signals["acceleration"]:
         lacks["acceleration"] = f"accelerations come less than {_BLOW_HZ:g} times a second"
     signals["height_estimate"] = get("LOCAL_POSITION_NED", ["z"], ["estimate"], "m", -1.0).above_begin()
     signals["climb"] = get("LOCAL_POSITION_NED", ["vz"], ["climb"], "m/s", -1.0)
-    landed = get("EXTENDED_SYS_STATE", ["landed_state"], ["landed"], "")
-    landing: list[tuple[float, float]] = []
-    if (landed.only > 0).any():
-        landing = landed.changes(lambda state: state == _ON_GROUND)
-        air = state_spans(landing, end_s, state=False)
-    else:
-        # a gap of the recording may hide arming and take-off: the vehicle stood at the last heartbeat before arming
-        stood = [(float(np.max(modes.time_s[modes.time_s < start], initial=0.0)), end) for start, end in armed]
-        heights = signals["height_estimate"], signals["height"]
-        # a height counts from its first samples: a signal that begins in the air tells nothing
-        grounded = [height for height in heights if any(height.during(0.0, at + BEGIN_S) for at, _ in stood[:1])]
-        air = off_ground(stood, first_known(*grounded, *heights))
-    flight = overlap(air, armed)
+    landed = get("EXTENDED_SYS_STATE", ["landed_state"])
+    landing = landed.changes(lambda state: state == _ON_GROUND) if (landed.only > 0).any() else []
+    # a gap of the recording may hide arming and take-off: the vehicle stood at the last heartbeat before arming
+    stood = [(float(np.max(modes.time_s[modes.time_s < start], initial=0.0)), end) for start, end in armed]
+    lifted = _off_ground(stood, signals["height_estimate"], signals["height"])
+    flight = overlap(state_spans(landing, end_s, state=False) if landing else lifted, armed)
     rotors = _ROTORS.get(kind, 0)
     if rotors:
-
-        def outputs(numbers: Sequence[int], names: Sequence[str]) -> LogSignal:
-            return get("SERVO_OUTPUT_RAW", [f"servo{k}_raw" for k in numbers], names, "us")
-
-        signals["motors"] = output_commands(records, armed, outputs, rotors)
+        signals["motors"] = output_commands(records, armed, "SERVO_OUTPUT_RAW", ["servo{}_raw"], rotors, system)
         signals["throttle"] = signals["motors"].each_sample("throttle", np.max)
     signals["attitude"] = get("ATTITUDE", ANGLES, ANGLES, "deg", float(np.degrees(1.0)))
-    turned = get("ATTITUDE_TARGET", [f"q[{k}]" for k in range(4)], [f"q{k}" for k in range(4)], "")
+    turned = get("ATTITUDE_TARGET", [f"q[{k}]" for k in range(4)])
     wanted = get("NAV_CONTROLLER_OUTPUT", ["nav_roll", "nav_pitch"], ANGLES[:2], "deg")
     if not rotors or autopilot != ARDUPILOT or not _followed(wanted, signals["attitude"], flight):
         wanted = NO_SIGNAL
     signals["attitude_wanted"] = first_known(turned.angles_deg(), wanted)
     battery = get("SYS_STATUS", ["voltage_battery", "current_battery"], ["voltage", "current"], "V, A")
-    volts = battery.values * [_MILLI, 10 * _MILLI]
-    known = (volts[:, 0] > 1.0) & (battery.values[:, 0] < np.iinfo(np.uint16).max)
-    if battery and not known.any():
-        lacks["battery"] = "the vehicle sends no voltage"
-    signals["battery"] = replace(battery, time_s=battery.time_s[known], values=volts[known])
-    signals["gps"] = get("GPS_RAW_INT", ["fix_type", "satellites_visible"], ["fix", "satellites"], "")
-    signals["position"] = get("GPS_RAW_INT", ["lat", "lon", "fix_type"], ["north", "east", "fix"], "").way()
-    names = ["velocity", "position", "height"]
-    signals["ratios"] = first_known(*(get(name, columns, names, "") for name, columns in _ESTIMATORS.items()))
-    vibration = get("VIBRATION", [f"vibration_{axis}" for axis in "xyz"], list("xyz"), "m/s2")
+    signals["battery"] = _known_volts(battery, lacks)
+    signals["gps"] = get("GPS_RAW_INT", ["fix_type", "satellites_visible"], ["fix", "satellites"])
+    signals["position"] = get("GPS_RAW_INT", ["lat", "lon", "fix_type"]).way()
+    signals["ratios"] = first_known(*(get(name, columns, RATIOS) for name, columns in _ESTIMATORS.items()))
     if autopilot == ARDUPILOT:
+        vibration = get("VIBRATION", [f"vibration_{axis}" for axis in "xyz"], unit="m/s2")
         signals["vibration"] = vibration.each_sample("vibration", np.max)
     signals["clipping"] = get("VIBRATION", ["clipping_0"], ["clipped"], "samples")
     vehicle = "multirotor" if rotors else _KINDS.get(kind, "")
@@ -139,6 +122,20 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         signals, (*_statements(records, system, kind, autopilot, modes), *state_statements(arming, landing)),
         tuple(_commands(records, system)), records.parameters, lacks,
     )  # fmt: skip
+
+
+def _known_volts(battery: LogSignal, lacks: dict[str, str]) -> LogSignal:
+    volts = battery.values * [_MILLI, 10 * _MILLI]
+    known = (volts[:, 0] > 1.0) & (battery.values[:, 0] < np.iinfo(np.uint16).max)
+    if battery and not known.any():
+        lacks["battery"] = "the vehicle sends no voltage"
+    return _where(known, replace(battery, values=volts))
+
+
+def _off_ground(stood: Spans, *heights: LogSignal) -> Spans:
+    # a height counts from its first samples: a signal that begins in the air tells nothing
+    grounded = [height for height in heights if any(height.during(0.0, at + BEGIN_S) for at, _ in stood[:1])]
+    return off_ground(stood, first_known(*grounded, *heights))
 
 
 def _where(rows: NDArray[np.bool_], signal: LogSignal) -> LogSignal:
@@ -169,7 +166,7 @@ def _vehicle(records: LogRecords) -> tuple[int, int, int]:
     for name, system in sorted(records.names(), key=lambda entry: entry[1]):
         if name != "HEARTBEAT":
             continue
-        beats = records.signal(name, ["type", "autopilot"], ["type", "autopilot"], "", system=system)
+        beats = records.signal(name, ["type", "autopilot"], system=system)
         own = beats.values[beats.values[:, 1] != _NO_AUTOPILOT]
         if len(own):
             return system, int(own[0, 0]), int(own[0, 1])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from monitor.alarms.command_watch import CommandSent
 from replay.review.facts.log_facts import (
     NO_SIGNAL,
+    RATIOS,
     Floats,
     LogFacts,
     LogRecords,
@@ -61,7 +62,7 @@ _KILLS = {"manual_lockdown": "kill switch", "kill": "kill switch", "force_failsa
 _ABOUT_THE_LOG = frozenset({2510, 2511})
 """MAV_CMD_LOGGING_START and _STOP: their sender listens, and commands no vehicle."""
 _ARMED = 2
-_MULTIROTOR, _FIXED_WING, _ROVER = 1, 2, 3
+_KINDS = {1: "multirotor", 2: "plane", 3: "rover"}
 """Values of arming_state and vehicle_type, from the same file."""
 _UAVCAN_FULL, _DSHOT_FULL, _PWM_LEAST, _PWM_SPAN = 8191.0, 1999.0, 800.0, 1000.0
 """Full command of UAVCAN's ESCs (14 bits), of DShot (11 bits, 48 of them are commands), and PWM's 1000 to 2000 us, of
@@ -76,9 +77,9 @@ def px4_facts(records: LogRecords) -> LogFacts:
     """Return the facts that a log of PX4 states."""
     get = records.signal
     end_s = records.duration_s + 1e-3
-    arming = get("vehicle_status", ["arming_state"], ["armed"], "").changes(lambda state: state == _ARMED)
+    arming = get("vehicle_status", ["arming_state"]).changes(lambda state: state == _ARMED)
     armed = state_spans(arming, end_s)
-    landing = get("vehicle_land_detected", ["landed"], ["landed"], "").changes()
+    landing = get("vehicle_land_detected", ["landed"]).changes()
     signals: dict[str, LogSignal] = {}
     lacks: dict[str, str] = {}
     signals["motors"] = _motors(records, armed, lacks)
@@ -86,10 +87,8 @@ def px4_facts(records: LogRecords) -> LogFacts:
     thrust = get("vehicle_attitude_setpoint", ["thrust_body[2]"], ["throttle"], "of full", -1.0)
     signals["throttle"] = first_known(signals["motors"].each_sample("throttle", np.max), thrust)
     signals["rpm"] = _rpm(records, armed)
-    quaternion = [f"q[{k}]" for k in range(4)]
-    signals["attitude"] = get("vehicle_attitude", quaternion, quaternion, "").angles_deg()
-    wanted = get("vehicle_attitude_setpoint", [f"q_d[{k}]" for k in range(4)], quaternion, "")
-    signals["attitude_wanted"] = wanted.angles_deg()
+    signals["attitude"] = get("vehicle_attitude", [f"q[{k}]" for k in range(4)]).angles_deg()
+    signals["attitude_wanted"] = get("vehicle_attitude_setpoint", [f"q_d[{k}]" for k in range(4)]).angles_deg()
     barometers = (get(name, ["baro_alt_meter"], ["barometer"], "m") for name in ("vehicle_air_data", "sensor_combined"))
     signals["height"] = first_known(*barometers).above_begin()
     signals["height_estimate"] = get("vehicle_local_position", ["z"], ["estimate"], "m", -1.0).above_begin()
@@ -97,34 +96,34 @@ def px4_facts(records: LogRecords) -> LogFacts:
     flight = overlap(state_spans(landing, end_s, state=False) if landing else off_ground(armed, height), armed)
     signals["climb"] = get("vehicle_local_position", ["vz"], ["climb"], "m/s", -1.0)
     signals["climb_wanted"] = get("vehicle_local_position_setpoint", ["vz"], ["wanted"], "m/s", -1.0)
-    axes = [f"accelerometer_m_s2[{k}]" for k in range(3)]
-    signals["acceleration"] = get("sensor_combined", axes, ["x", "y", "z"], "m/s2")
+    signals["acceleration"] = get("sensor_combined", [f"accelerometer_m_s2[{k}]" for k in range(3)], "xyz", "m/s2")
     _battery(records, signals, lacks)
     _gps(records, signals, lacks, flight)
-    ratios = ["vel_test_ratio", "pos_test_ratio", "hgt_test_ratio"]
-    signals["ratios"] = get("estimator_status", ratios, ["velocity", "position", "height"], "")
+    signals["ratios"] = get("estimator_status", [f"{name}_test_ratio" for name in ("vel", "pos", "hgt")], RATIOS)
     counters = [f"{name}_reset_counter" for name in ("xy", "z", "vxy", "vz")]
-    counted = get("vehicle_local_position", counters, ["position", "height", "velocity", "climb"], "")
-    signals["resets"] = counted.above_begin()
+    moved = ["position", "height", "velocity", "climb"]
+    signals["resets"] = get("vehicle_local_position", counters, moved).above_begin()
     steps = ["delta_xy[0]", "delta_xy[1]", "delta_z", "delta_vxy[0]", "delta_vxy[1]", "delta_vz"]
-    signals["reset_steps"] = get("vehicle_local_position", steps, steps, "m, m/s")
+    signals["reset_steps"] = get("vehicle_local_position", steps, unit="m, m/s")
     # each accelerometer has an estimator of its own: take the accelerometer that clips most
     shaken = [_shaken(records, f"vehicle_imu_status{instance}") for instance in _INSTANCES]
     signals |= max(shaken, key=lambda one: float(np.nanmax(one["clipping"].above_begin().only, initial=0.0)))
-    kinds = get("vehicle_status", ["vehicle_type"], ["type"], "")
-    rotary = get("vehicle_status", ["is_rotary_wing"], ["type"], "")
-    values = {_MULTIROTOR: "multirotor", _FIXED_WING: "plane", _ROVER: "rover"}
-    vehicle = values.get(int(np.median(kinds.only)), "") if kinds else ""
-    if rotary and np.median(rotary.only) == 1:
-        vehicle = "multirotor"
-    if (get("vehicle_status", ["is_vtol"], ["vtol"], "").only == 1).any():
-        # a VTOL is neither of the two for long: its rotors stand while it flies on its wings
-        vehicle = "VTOL"
     return LogFacts(
-        "PX4", vehicle, records.first_ns, records.duration_s, tuple(armed), tuple(flight), signals,
+        "PX4", _vehicle(records), records.first_ns, records.duration_s, tuple(armed), tuple(flight), signals,
         (*_statements(records), *state_statements(arming, landing)), tuple(_commands(records)),
         records.parameters, lacks,
     )  # fmt: skip
+
+
+def _vehicle(records: LogRecords) -> str:
+    flags = ("is_vtol", "is_rotary_wing", "vehicle_type")
+    vtol, rotary, kinds = (records.signal("vehicle_status", [name]).only for name in flags)
+    if (vtol == 1).any():
+        # a VTOL is neither of the two for long: its rotors stand while it flies on its wings
+        return "VTOL"
+    if len(rotary) and np.median(rotary) == 1:
+        return "multirotor"
+    return _KINDS.get(int(np.median(kinds)), "") if len(kinds) else ""
 
 
 def _motors(records: LogRecords, armed: Spans, lacks: dict[str, str]) -> LogSignal:
@@ -136,7 +135,7 @@ def _motors(records: LogRecords, armed: Spans, lacks: dict[str, str]) -> LogSign
     if there.any():
         # the command of a motor that the autopilot stopped is NaN while the others are not, and a kill switch stops the
         # outputs, not the commands
-        off = [records.signal("actuator_armed", [name], [""], "").at(commands.time_s) == 1 for name in _KILLS]
+        off = [records.signal("actuator_armed", [name]).at(commands.time_s) == 1 for name in _KILLS]
         stopped = np.isnan(commands.values[:, there]) | np.any(off, axis=0)
         values = np.where(stopped, 0.0, commands.values[:, there])
         names = tuple(name for name, known in zip(numbers, there, strict=True) if known)
@@ -175,7 +174,7 @@ def _scaled(outputs: LogSignal, moves: NDArray[np.bool_]) -> LogSignal:
 
 def _shaken(records: LogRecords, topic: str) -> dict[str, LogSignal]:
     """Return the vibration and clipping of an accelerometer."""
-    clipping = records.signal(topic, [f"accel_clipping[{k}]" for k in range(3)], ["x", "y", "z"], "samples")
+    clipping = records.signal(topic, [f"accel_clipping[{k}]" for k in range(3)], "xyz", "samples")
     return {
         "vibration": records.signal(topic, ["accel_vibration_metric"], ["vibration"], "m/s2"),
         "clipping": clipping.each_sample("clipped", np.sum),
@@ -196,7 +195,7 @@ def _rpm(records: LogRecords, armed: Spans) -> LogSignal:
 
 def _battery(records: LogRecords, signals: dict[str, LogSignal], lacks: dict[str, str]) -> None:
     battery = records.signal("battery_status", ["voltage_v", "current_a"], ["voltage", "current"], "V, A")
-    connected = records.signal("battery_status", ["connected"], ["connected"], "")
+    connected = records.signal("battery_status", ["connected"])
     if battery and connected and not connected.only.any():
         volts = float(np.nanmax(battery.values[:, 0]))
         lacks["battery"] = f"the log says that none is connected to its sensor (connected = 0, {volts:.2f} V at most)"
@@ -205,22 +204,19 @@ def _battery(records: LogRecords, signals: dict[str, LogSignal], lacks: dict[str
 
 
 def _gps(records: LogRecords, signals: dict[str, LogSignal], lacks: dict[str, str], flight: Spans) -> None:
-    gps = records.signal("vehicle_gps_position", ["fix_type", "satellites_used"], ["fix", "satellites"], "")
-    uses = (records.signal("estimator_status_flags", [name], ["gps"], "") for name in ("cs_gps", "cs_gnss_pos"))
+    gps = partial(records.signal, "vehicle_gps_position")
+    uses = (records.signal("estimator_status_flags", [name]) for name in ("cs_gps", "cs_gnss_pos"))
     fused = first_known(*uses)
     if not fused:
-        flags = records.signal("estimator_status", ["control_mode_flags"], ["flags"], "")
+        flags = records.signal("estimator_status", ["control_mode_flags"])
         fused = replace(flags, values=_bit(_GPS_BIT, flags.values).astype(np.float64))
     if fused and not fused.only[inside(fused.time_s, flight)].any():
         lacks["gps"] = "the estimator did not use GPS in flight, so its receiver had no effect"
         return
-    signals["gps"] = gps
+    signals["gps"] = gps(["fix_type", "satellites_used"], ["fix", "satellites"])
     places = (["latitude_deg", "longitude_deg", "fix_type"], ["lat", "lon", "fix_type"])
-    names = ["north", "east", "fix"]
-    found = (records.signal("vehicle_gps_position", columns, names, "") for columns in places)
-    signals["position"] = first_known(*found).way()
-    speed = records.signal("vehicle_gps_position", ["vel_d_m_s", "fix_type"], ["down", "fix"], "")
-    signals["climb_received"] = speed.climb()
+    signals["position"] = first_known(*map(gps, places)).way()
+    signals["climb_received"] = gps(["vel_d_m_s", "fix_type"]).climb()
 
 
 def _statements(records: LogRecords) -> Iterator[Statement]:
@@ -228,13 +224,13 @@ def _statements(records: LogRecords) -> Iterator[Statement]:
         text = str(row.get("text", "")).strip()
         changed = _CHANGED in text
         yield Statement(at, "failsafe" if changed else "text", text, 1 if changed else int(row.get("level", 6)))
-    for at, value in records.signal("vehicle_status", ["nav_state"], ["mode"], "").changes():
+    for at, value in records.signal("vehicle_status", ["nav_state"]).changes():
         yield Statement(at, "mode", f"mode {_MODES.get(int(value), int(value))}")
-    for at, value in records.signal("vehicle_status", ["failsafe"], ["failsafe"], "").changes():
+    for at, value in records.signal("vehicle_status", ["failsafe"]).changes():
         if value:
             yield Statement(at, "failsafe", "failsafe active", 1)
-    named = {name: records.signal(_DETECTOR, [f"fd_{name}"], [name], "").changes() for name in _FAILURES}
-    bits = records.signal("vehicle_status", ["failure_detector_status"], ["bits"], "")
+    named = {name: records.signal(_DETECTOR, [f"fd_{name}"]).changes() for name in _FAILURES}
+    bits = records.signal("vehicle_status", ["failure_detector_status"])
     if not any(named.values()):
         named = {name: bits.changes(partial(_bit, bit)) for name, bit in _BITS.items()}
     for name, entries in named.items():
@@ -242,12 +238,12 @@ def _statements(records: LogRecords) -> Iterator[Statement]:
             if value:
                 yield Statement(at, "failsafe", f"failure detector: {_FAILURES[name]}", 1)
     for k in range(_MOST_ROTORS):
-        control = records.signal("actuator_motors", [f"control[{k}]"], [""], "")
+        control = records.signal("actuator_motors", [f"control[{k}]"])
         if np.isfinite(control.only).any():
             for at, value in control.changes(np.isnan)[1:]:
                 yield Statement(at, "stopped", f"motor{k + 1}", int(value))
     for name, text in _KILLS.items():
-        for at, value in records.signal("actuator_armed", [name], [name], "").changes():
+        for at, value in records.signal("actuator_armed", [name]).changes():
             if value:
                 yield Statement(at, "kill", text, 1)
 
