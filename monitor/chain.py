@@ -24,7 +24,7 @@ from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Doubt, Excuses
 from monitor.core.alarms import CLEARED, EXPLAINED, RAISED, ChainRows, Weighing, nats_asked, walk
 from monitor.core.effectiveness import EffectivenessEstimator
-from monitor.core.observers import CommandScale, SinceMeasured, shares_in_command
+from monitor.core.observers import CommandScale, shares_in_command
 from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimates, Layout
 from monitor.estimation.affine import AffineObserver
@@ -255,7 +255,7 @@ class ObserverChain:
         isolation = profile.isolation
         lag_s = LAG_S if isinstance(isolation, BankRule) else isolation.smoothing_s
         self._uncertainty = Uncertainty(observer, profile.model, names, profile.spread, lag_s)
-        self._since_measured = SinceMeasured()
+        self._measured_ns = 0  # when the outputs were last measured
         self._command = CommandUnits(profile)
         self._effectiveness = EffectivenessStage(
             profile.effectiveness, profile.faults, gains.inputs, gains.outputs, gains.rate_hz, profile.reached
@@ -460,9 +460,17 @@ class ObserverChain:
             residual=found.residual,
             armed=armed,
             sd=np.where(shown.isolated == 0.0, shown.sd, size_sd),
-            coasted_s=self._since_measured.run(samples.vehicle_time_ns, samples.measured, samples.restart),
+            coasted_s=self._coasted_s(samples),
         )
         return self._with_evidence(estimates, position, found, effects, shown.commands, given, sd, size_sd)
+
+    def _coasted_s(self, samples: Samples) -> NDArray[np.float64]:
+        """Return the seconds since the outputs were last measured, at each of n samples (n,); a restart is measured."""
+        times_ns = samples.vehicle_time_ns
+        last = np.maximum.accumulate(np.where(samples.measured | samples.restart, np.arange(len(samples)), -1))
+        since_ns = times_ns - np.where(last < 0, self._measured_ns, times_ns[last])
+        self._measured_ns = times_ns[-1] - since_ns[-1]
+        return np.asarray(1e-9 * since_ns, np.float64)
 
     def _larger(self, given: Given) -> NDArray[np.float64] | None:
         """Return how many times larger each fault's size is for being unlike the fitted flights (n, a)."""

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.channels import STANDARD_GRAVITY
+
 SIGNALS = ("xacc", "yacc", "zacc", "roll", "pitch", "yaw", "gps_speed", "gps_course", "gps_alt", "baro_alt")
 """Signals that are needed beside the motors' commands, by their names in the inertial observer."""
 _HALF_NS = 500_000_000
@@ -14,8 +16,6 @@ _HALF_NS = 500_000_000
 the noise of ten samples a second."""
 _LEAST_ROWS = 3
 """Least number of samples in a half second: chosen, of the four or five at the slowest rate that is accepted."""
-_GRAVITY = 9.80665
-"""Standard gravity, m/s^2."""
 
 
 class HalfSecond(NamedTuple):
@@ -71,7 +71,7 @@ class HalfSeconds:
         right = y * np.cos(roll)
         north, east = _turned(forward, right, yaw)
         along, across = _turned(speed, 0.0, np.radians(course))
-        load = np.log(command / motors * _GRAVITY / -z)
+        load = np.log(command / motors * STANDARD_GRAVITY / -z)
         moments = (u @ self._arms).T / command
         values = np.array([load, *moments, north, east, along, across, speed, height, gps_height])
         means = values.mean(axis=1).tolist()

@@ -8,7 +8,6 @@ before it and never on how many of them came in the same call (BLAS chooses its 
 """
 
 from libc.math cimport NAN, fabs, hypot, sqrt
-from libc.stdint cimport int64_t
 
 import numpy as np
 
@@ -344,25 +343,6 @@ cdef class SizeErrors:
         return result
 
 
-cdef class SinceMeasured:
-    """The time since the outputs were last measured."""
-
-    cdef int64_t measured_ns
-
-    def run(self, const int64_t[:] times_ns, const unsigned char[:] measured, const unsigned char[:] restart):
-        """Return the seconds since then at each of n rows (n,); a restart is measured."""
-        cdef Py_ssize_t k
-        if not times_ns.shape[0] == measured.shape[0] == restart.shape[0]:
-            raise ValueError("times, measured and restart differ in length")
-        result = np.empty(times_ns.shape[0])
-        cdef double[::1] since_s = result
-        for k in range(times_ns.shape[0]):
-            if measured[k] or restart[k]:
-                self.measured_ns = times_ns[k]
-            since_s[k] = <double>(times_ns[k] - self.measured_ns) * 1e-9
-        return result
-
-
 cdef class CommandScale:
     """Takes fault estimates of n rows from effect units to those of the command, at the smoothed command.
 
@@ -452,19 +432,6 @@ def shares_in_command(const double[:, ::1] curves, const Py_ssize_t[:] inputs, c
         if inputs[k] >= 0:
             lost[k] = fault_in_command(
                 curves, inputs[k], share[k] * effect(curves, inputs[k], command[k]), command[k])
-    return result
-
-
-def effects(const double[:, ::1] curves, const double[:, :] u):
-    """Return v_j = curve_j(u_j) (n, s) of commands (n, s)."""
-    cdef Py_ssize_t k, j
-    if u.shape[1] != curves.shape[0]:
-        raise ValueError(f"{u.shape[1]} commands, not {curves.shape[0]}")
-    result = np.empty((u.shape[0], u.shape[1]))
-    cdef double[:, ::1] v = result
-    for k in range(u.shape[0]):
-        for j in range(u.shape[1]):
-            v[k, j] = effect(curves, j, u[k, j])
     return result
 
 

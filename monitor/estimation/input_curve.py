@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.observers import effects
-
 LEAST_COMMAND = 0.02
 """Smallest command, as a share of full command, for which a loss is stated as a share. Chosen: the share of an
 estimate's error grows without bound as the command goes to zero."""
@@ -22,7 +20,10 @@ flight read 0.85 and 0.93, up to 0.15 off; this is twice that error above the wh
 
 def effect_of_command(curve: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return v = c1 u + c2 u^2 + ... (..., s) for coefficients ``curve`` (s, degree)."""
-    return effects(np.ascontiguousarray(curve, np.float64), u.reshape(-1, u.shape[-1])).reshape(u.shape)
+    value = np.zeros(u.shape)
+    for coefficients in curve.T[::-1]:
+        value = (value + coefficients) * u
+    return value
 
 
 def relative_loss(fault: float, command: float) -> float | None:

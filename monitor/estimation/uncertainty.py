@@ -56,7 +56,7 @@ class Uncertainty:
 
     ``faults`` are all fault channels (a,) in the order of the estimates, ``scale`` has factors on the standard
     deviations of the error system, for some of them. ``lag_s`` is :data:`LAG_S`, or the smoothing alone where the model
-    has all other lags.
+    has all other lags. ``of_sizes`` returns the standard deviation of n sizes of alarms, as :class:`SizeErrors` says.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Uncertainty:
         rows = np.maximum(1, np.rint(np.maximum(lag_s, MOVED * delay_s) * observer.rate_hz)).astype(np.intp)
         moved_s = rows / observer.rate_hz
         still = np.exp(-moved_s / np.maximum(own_s, 1e-3 * moved_s))
-        self._of_sizes = SizeErrors(rows, 1.0 / np.expm1(moved_s / delay_s), np.sqrt(2.0 * (1.0 - still)))
+        self.of_sizes = SizeErrors(rows, 1.0 / np.expm1(moved_s / delay_s), np.sqrt(2.0 * (1.0 - still))).run
         if systems is None:
             return
         used = sorted(set(owned))
@@ -111,22 +111,6 @@ class Uncertainty:
         if self._covariance is None:
             return np.full((len(measured), self._channels), np.nan)
         return self._covariance.run(measured, restart)
-
-    def of_sizes(
-        self,
-        sd: NDArray[np.float64],
-        sizes: NDArray[np.float64],
-        level: NDArray[np.float64],
-        shown: NDArray[np.float64],
-        full: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Return the standard deviation of n sizes of alarms (n, a); ``sd`` is that of healthy flight.
-
-        ``level`` is the residuals' mean square relative to that of healthy flight (n,). ``full`` is what each size is a
-        share of (n, a), 1 of a size that is none. The result is in the unit of ``shown``, which is ``sd`` in the unit
-        of alarms (n, a).
-        """
-        return self._of_sizes.run(sd, sizes, level, shown, full)
 
 
 def _padded(matrix: NDArray[np.float64], size: int) -> NDArray[np.float64]:

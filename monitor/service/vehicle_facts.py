@@ -10,6 +10,7 @@ import numpy as np
 
 from adapters.batch import Batch, Columns
 from adapters.errors import printable
+from adapters.mavlink.heartbeat import NO_AUTOPILOT
 from monitor.recording.foxglove_records import places
 
 _TEXTS = 20
@@ -18,8 +19,6 @@ _MAX_TEXT = 254
 """Largest length of a message: five of MAVLink's chunks of 50, more than autopilots send."""
 _CHUNK = 50
 """Length of a STATUSTEXT that continues in the next one."""
-_NO_AUTOPILOT = 8
-"""MAV_AUTOPILOT_INVALID: the heartbeat of a gimbal or a camera."""
 _NAMES = ("HEARTBEAT", "GLOBAL_POSITION_INT", "GPS_RAW_INT")
 
 
@@ -56,7 +55,7 @@ class VehicleFacts:
     def _heartbeat(self, fields: Mapping[str, Any]) -> None:
         keys = ("type", "autopilot", "base_mode", "custom_mode")
         beat = [float(np.ravel(fields[key][-1])[0]) if key in fields else np.nan for key in keys]
-        if beat[1] != _NO_AUTOPILOT and np.isfinite(beat).all():
+        if beat[1] != NO_AUTOPILOT and np.isfinite(beat).all():
             self._facts["heartbeat"] = dict(zip(keys, map(int, beat), strict=True))
 
     def _text(self, received_ns: int, fields: Mapping[str, Any]) -> None:
