@@ -259,7 +259,7 @@ class BlindAlarm:
         new = newly_watched(chain.layout.faults for chain in chains)
         # an observer beside a faster one of the same faults is not needed: without it, the vehicle is not blind
         self._needed = [flow for flow, faults in zip(self.flows, new, strict=True) if faults]
-        self._active: AlarmEvent | None = None
+        self.active: AlarmEvent | None = None  # the last event of the active alarm
         self._slot = 0
         self._started = False
         self._received = False  # whether any telemetry came since the start
@@ -267,14 +267,9 @@ class BlindAlarm:
         # messages that stand still while the alarm is active, and since when, in vehicle time
         self.frozen: Mapping[str, int] = {}
 
-    @property
-    def active(self) -> AlarmEvent | None:
-        """The last event of the active alarm."""
-        return self._active
-
     def due_ns(self, flying: bool, now_ns: int) -> int:
         """Return the Unix time from which a message may cause an event here."""
-        if self._active is not None:
+        if self.active is not None:
             return (self._slot + 1) * _SLOT_NS
         if not flying:
             # If the vehicle takes off during the next messages, evidence is overdue this much later at the earliest.
@@ -299,7 +294,7 @@ class BlindAlarm:
 
         Evidence that was overdue before stays so.
         """
-        if self._active is None:
+        if self.active is None:
             self.wait_from(now_ns)
 
     def wait_from(self, now_ns: int) -> None:
@@ -331,7 +326,7 @@ class BlindAlarm:
                 # the time of a clock that was set back
                 if group.since_ns - now_ns >= SET_BACK_NS:
                     group.since_ns, group.evidence_ns = now_ns, min(group.evidence_ns, now_ns)
-        slot, active = now_ns // _SLOT_NS, self._active
+        slot, active = now_ns // _SLOT_NS, self.active
         if active is None and not (flying and self._received):
             return []
         if active is not None:
@@ -359,7 +354,7 @@ class BlindAlarm:
             return [self._next(active, "updated", now_ns, vehicle_ns, text, severity)]
         self._slot, self._affected = slot, []
         self.frozen = {name: since_ns for flow in self.flows for name, since_ns in flow.frozen.items()}
-        self._active = fixed_rule_event(
+        self.active = fixed_rule_event(
             self._vehicle,
             OBSERVER,
             CHANNEL,
@@ -372,11 +367,11 @@ class BlindAlarm:
             vehicle_time_ms=vehicle_ns // 1_000_000,
             message=text,
         )
-        return [self._active]
+        return [self.active]
 
     def affect(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
         """Add that frozen values explain a channel's evidence; return the event, or None if that is known."""
-        active = self._active
+        active = self.active
         if active is None or channel in self._affected:
             return None
         self._affected.append(channel)
@@ -385,7 +380,7 @@ class BlindAlarm:
 
     def adopt(self, event: AlarmEvent) -> None:
         """Continue from an event that an earlier run, or another monitor, has published."""
-        self._active = None if event.state == "cleared" else event
+        self.active = None if event.state == "cleared" else event
 
     def watching(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> dict[str, Watching]:
         """Return the state of each observer's evidence at a Unix time."""
@@ -394,15 +389,15 @@ class BlindAlarm:
     def _clear(self, active: AlarmEvent, now_ns: int, vehicle_ns: int, flying: bool) -> AlarmEvent:
         text = "the vehicle is watched again" if flying else "the vehicle is no longer in flight"
         event = self._next(active, "cleared", now_ns, vehicle_ns, text, active.severity)
-        self._active, self.frozen = None, {}
+        self.active, self.frozen = None, {}
         return event
 
     def _next(
         self, active: AlarmEvent, state: State, now_ns: int, vehicle_ns: int, text: str, severity: Severity
     ) -> AlarmEvent:
         time_ns = max(now_ns, active.time_ns)
-        self._active = next_event(active, state, time_ns, vehicle_ns // 1_000_000, text, severity=severity)
-        return self._active
+        self.active = next_event(active, state, time_ns, vehicle_ns // 1_000_000, text, severity=severity)
+        return self.active
 
 
 def _sensor(channel: str) -> str:

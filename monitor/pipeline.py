@@ -104,6 +104,10 @@ class Pipeline:
 
     Attributes
     ----------
+    system : int
+        The MAVLink system id to monitor; 0: the first that sends a channel, which it becomes.
+    desk : AlarmDesk
+        The active alarms and what operators did with them; messages change them.
     foreign : int
         Messages of other senders.
     contradictions : Sequence[str]
@@ -146,8 +150,8 @@ class Pipeline:
         self._stale = StaleAlarm(self.vehicle, profile.stale_s)
         self._commands, self._streams = CommandWatch(), StreamFilter()
         self._blind = BlindAlarm(self.vehicle, self._chains)
-        self._desk = AlarmDesk(self.vehicle, DeskRule(), general_of(profile.excuses))
-        self._system = profile.system if system is None else system
+        self.desk = AlarmDesk(self.vehicle, DeskRule(), general_of(profile.excuses))
+        self.system = profile.system if system is None else system
         self._component = component
         self._interests = self.interests
         self._down_ns: int | None = None  # time since which the vehicle reports that its flight is over
@@ -230,15 +234,6 @@ class Pipeline:
         return {chain.layout.observer: far for chain in self._chains if (far := chain.furthest) is not None}
 
     @property
-    def system(self) -> int:
-        """The monitored MAVLink system id; 0 before its first message."""
-        return self._system
-
-    def watch(self, system: int) -> None:
-        """Monitor a MAVLink system id from now on; 0: the first that sends a channel."""
-        self._system = system
-
-    @property
     def mismatch(self) -> str | None:
         """What shows that the vehicle is not the profile's; None if nothing does."""
         return self._phase.reports.identity.contradiction(self.profile.identity)
@@ -252,11 +247,6 @@ class Pipeline:
     def refused(self) -> str | None:
         """Why the vehicle is not watched: the :attr:`mismatch`, unless the user has forced it."""
         return self._phase.contradiction
-
-    @property
-    def desk(self) -> AlarmDesk:
-        """The active alarms and what operators did with them; messages change them."""
-        return self._desk
 
     def statistics(self) -> Mapping[str, SamplerStatistics]:
         """Return the samplers' counts by observer."""
@@ -274,18 +264,18 @@ class Pipeline:
 
         The first system that sends a channel becomes the vehicle.
         """
-        source, is_its = message.source, message.system == self._system != 0
+        source, is_its = message.source, message.system == self.system != 0
         if not source.has_ids or (is_its and self._component in (0, message.component)):
             return True
-        if not {0, self._system}.isdisjoint(commanded_systems(message)):
+        if not {0, self.system}.isdisjoint(commanded_systems(message)):
             return True
         if not source.is_telemetry:
-            return message.system == self._system
+            return message.system == self.system
         if self._component and message.component != self._component:
             return False
-        if self._system == 0 and message.name in self._wanted:
-            self._system = message.system
-        return message.system == self._system
+        if self.system == 0 and message.name in self._wanted:
+            self.system = message.system
+        return message.system == self.system
 
     @_quiet_overflow
     def run(self, batch: Batch) -> list[Estimates | AlarmEvent]:
@@ -300,7 +290,7 @@ class Pipeline:
             One message or thousands, in the order of arrival.
         """
         outputs: list[Estimates | AlarmEvent] = []
-        if self._system == 0:
+        if self.system == 0:
             batch = self._run_unidentified(batch, outputs)
         self._run_accepted(batch, outputs)
         return outputs
@@ -312,7 +302,7 @@ class Pipeline:
         identifying = [(index, system) for index, sender in senders if (system := self._system_of(sender))]
         first, system = min(identifying, default=(batch.count, 0))
         self._run_accepted(cut(batch, 0, first), outputs)
-        self._system = system
+        self.system = system
         return cut(batch, first, batch.count)
 
     def _system_of(self, sender: Message | Columns) -> int:
@@ -330,13 +320,13 @@ class Pipeline:
     def _run_accepted(self, batch: Batch, outputs: list[Estimates | AlarmEvent]) -> None:
         """Process the messages of a batch that matter, and count those of other senders."""
         arrivals = Arrivals(
-            batch, self._interests, self._wanted, self._system, self._component, self._phase, self._streams
+            batch, self._interests, self._wanted, self.system, self._component, self._phase, self._streams
         )
         self.foreign += arrivals.foreign
         index = 0
         while index < arrivals.batch.count:
             message = arrivals.message(index)
-            outputs.extend(self._desk.tick(message.received_ns))
+            outputs.extend(self.desk.tick(message.received_ns))
             if not message.source.is_telemetry or _commands(message):
                 outputs.extend(self._run_own(message))
                 index += 1
@@ -365,7 +355,7 @@ class Pipeline:
     def _command(self, message: Message) -> list[AlarmEvent]:
         """Follow who commands the vehicle; a single forged report of a landing does not make its sender a known one."""
         now_ns = message.received_ns
-        sent = command_sent(message.name, message.fields, now_ns / 1e9, message.system, message.component, self._system)
+        sent = command_sent(message.name, message.fields, now_ns / 1e9, message.system, message.component, self.system)
         flies = self._flies() or 0 <= now_ns - self._flown_ns < _LANDED_NS
         found = [] if sent is None else self._commands.follow(sent, flies)
         return [event for command in found for event in self._link.commanded(command, now_ns)]
@@ -376,8 +366,8 @@ class Pipeline:
         Return its end.
         """
         # A flood that begins in the segment lasts for flood_s.
-        flood_ns = start_ns + round(self._desk.rule.flood_s * 1e9)
-        shelved_ns = self._desk.due_ns
+        flood_ns = start_ns + round(self.desk.rule.flood_s * 1e9)
+        shelved_ns = self.desk.due_ns
         blind_ns = self._blind.due_ns(self._flies(), start_ns)
         clock = self._clock
         until_ns = clock.contested_ns, *clock.found.values(), self._numbered_ns
@@ -565,12 +555,12 @@ class Pipeline:
             return self._adopt(fields, now_ns) if message.name == STANDING else []
         if message.name == RULES:
             return self._retune(fields, now_ns)
-        if message.name == RESET and (key := self._desk.key(fields)) is not None:
-            for observer, channel in (key, *self._desk.findings(key)):
+        if message.name == RESET and (key := self.desk.key(fields)) is not None:
+            for observer, channel in (key, *self.desk.findings(key)):
                 for chain in self._chains:
                     if chain.layout.observer == observer:
                         chain.restart(channel, now_ns, self._clock.newest_ns, "reset")
-        return self._desk.operate(message.name, fields, now_ns)
+        return self.desk.operate(message.name, fields, now_ns)
 
     @property
     def _landed_ns(self) -> int:
@@ -604,7 +594,7 @@ class Pipeline:
         return events + self._blind.process(now_ns, self._clock.newest_ns, *self._flight(), recorded=recorded)
 
     def _through_desk(self, events: Iterable[AlarmEvent]) -> list[AlarmEvent]:
-        return [published for event in events for published in self._desk.process(event)]
+        return [published for event in events for published in self.desk.process(event)]
 
     def _adopt(self, fields: Mapping[str, Any], now_ns: int) -> list[AlarmEvent]:
         events = [event for event in handed_over_alarms(fields) if event.vehicle == self.vehicle]
@@ -619,8 +609,8 @@ class Pipeline:
                 if chain.layout.observer == event.observer:
                     chain.adopt(event)
         seq = fields.get("seq")
-        self._desk.seq = max(self._desk.seq, seq if is_seq(seq) else 0)
-        return self._desk.adopt(events, self.channels, now_ns, shelved_channels(fields))
+        self.desk.seq = max(self.desk.seq, seq if is_seq(seq) else 0)
+        return self.desk.adopt(events, self.channels, now_ns, shelved_channels(fields))
 
     def _retune(self, fields: Mapping[str, Any], now_ns: int) -> list[AlarmEvent]:
         alarms = fields.get("alarms")
@@ -628,7 +618,7 @@ class Pipeline:
             rules = alarms.get(chain.layout.observer) if isinstance(alarms, Mapping) else None
             if isinstance(rules, Mapping):
                 chain.retune({name: rule for name, rule in rules.items() if isinstance(rule, Mapping)})
-        return self._desk.set_rule(desk_rule(fields, self._desk.rule), now_ns)
+        return self.desk.set_rule(desk_rule(fields, self.desk.rule), now_ns)
 
 
 def _commands(message: Message) -> bool:

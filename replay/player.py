@@ -194,7 +194,7 @@ def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:
     others = {at: message for at, message in rest.others.items() if pipeline.accepts(message)}
     recorder.batch(Batch(rest.count, columns, others))
     # the pipeline has to find the vehicle by itself: messages before its first channel do not belong to it
-    pipeline.watch(known)
+    pipeline.system = known
 
 
 def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Archive:

@@ -182,7 +182,7 @@ class ConsoleServer:
     def __init__(self, session: zenoh.Session, options: ConsoleOptions) -> None:
         self._session = session
         self._options = options
-        self._streams = 0
+        self.streams = 0  # open pages
         self._ended = False
         self._guesses = asyncio.Lock()
         self._socket = listening("--listen", options.listen, LISTEN)
@@ -228,11 +228,6 @@ class ConsoleServer:
             self._socket.close()
             self.fleet.close()
 
-    @property
-    def streams(self) -> int:
-        """Number of open pages."""
-        return self._streams
-
     def wait(self, timeout_s: float) -> bool:
         """Wait until serving ends, at most so long; return whether it still runs."""
         self._thread.join(timeout_s)
@@ -258,7 +253,7 @@ class ConsoleServer:
         return answer
 
     async def _stream(self, request: Request) -> Response:
-        if self._streams >= _MAX_STREAMS:
+        if self.streams >= _MAX_STREAMS:
             return JSONResponse({"error": "too many pages are open"}, 503, {"Retry-After": "5"})
         vehicle = request.query_params.get("vehicle")
         return StreamingResponse(
@@ -267,7 +262,7 @@ class ConsoleServer:
 
     async def _news(self, vehicle: str | None) -> AsyncIterator[bytes]:
         """Yield news: nothing waits for a slow reader, who gets the latest data when it reads again."""
-        self._streams += 1
+        self.streams += 1
         try:
             clips = self._options.clips is not None
             hello = {"version": version("fauio"), "commands": self._options.commands, "clips": clips}
@@ -284,7 +279,7 @@ class ConsoleServer:
                     yield _event("alive", {})
                 await asyncio.sleep(PERIOD_S)
         finally:
-            self._streams -= 1
+            self.streams -= 1
 
     async def _command(self, request: Request) -> Response:
         if not self._options.commands:

@@ -140,7 +140,7 @@ class Fleet:
         if not stranger.sends:
             return []
         if free is not None:
-            free.pipeline.watch(system)
+            free.pipeline.system = system
             self._by_system[system] = free
             return [(free, self._taken(system))]
         ready = {system: seen.slots for system, seen in self._strangers.items() if seen.is_vehicle}
