@@ -35,8 +35,10 @@ cdef inline double field_rate(const double* R, const double* rate, const double*
 
 
 cdef enum:
-    STATES = 13
-    HYPOTHESES = 10
+    STATES = 14
+    # Gyros x, y, z, then accelerometers x, y, z.
+    BIASES = 6
+    HYPOTHESES = 11
     ONSETS = 30
 
 
@@ -45,8 +47,8 @@ cdef struct Signature:
     double[HYPOTHESES] matched
     double[HYPOTHESES] energy
     # Biases of gyros and accelerometers at the onset, and their variances.
-    double[5] bias
-    double[5] variance
+    double[BIASES] bias
+    double[BIASES] variance
     # Time since the onset, s.
     double age_s
 
@@ -96,12 +98,12 @@ cdef class Navigation:
     cdef double _sharp, _speed_noise
     cdef double[2][2] _off
     cdef double[3] _missed
-    # Of the gyros x, y, z and the accelerometers x, y: biases; biases before a fault, and their variances; whether
+    # Of gyros and accelerometers: biases; biases before a fault, and their variances; whether
     # there is a fault.
-    cdef double[5] _bias
-    cdef double[5] _before
-    cdef double[5] _doubt
-    cdef bint[5] _faulty
+    cdef double[BIASES] _bias
+    cdef double[BIASES] _before
+    cdef double[BIASES] _doubt
+    cdef bint[BIASES] _faulty
     cdef double[STATES][STATES] _P
     cdef double[STATES][STATES] _F
     cdef double[STATES][STATES] _Q
@@ -131,6 +133,7 @@ cdef class Navigation:
     cdef void put_off(self, int m, double size) noexcept
     cdef double fault(self, int which) noexcept
     cdef double spread(self, int which) noexcept
+    cdef double pointing(self) noexcept
     cdef void differ(self, const double* R, double* apart) noexcept
     cdef double missed(self, int axis) noexcept
     cdef double led(self, int axis) noexcept

@@ -59,7 +59,7 @@ cdef double _GRAVITY = STANDARD_GRAVITY
 # the velocity, m/s; of gyros (1 degree/s is 0.017 rad/s) and accelerometers as calibrated by autopilots; direction of
 # the magnetic field against its first measurement, rad, three times the error of one noisy measurement; delay of the
 # gyros, s, half of the difference between filters of 4 and 10 Hz. (The delay of the field has its own.)
-cdef double[12] _START = [0.02, 0.02, 0.1, 0.1, 0.1, 0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.02]
+cdef double[13] _START = [0.02, 0.02, 0.1, 0.1, 0.1, 0.01, 0.01, 0.01, 0.2, 0.2, 0.0, 0.3, 0.02]
 # Random walks per root of a second: of attitude and velocity, the least that vibration and lines between samples make;
 # of the biases, a change by 0.01 rad/s and 0.5 m/s^2 in some hours of warming up.
 cdef double[4] _WALK = [1e-3, 0.05, 1e-4, 5e-3]
@@ -158,12 +158,13 @@ cdef enum:
     _V = 3
     _BG = 5
     _BA = 8
-    _H = 10
-    _LATE = 11
-    _FIELD_LATE = 12
-    _JUMP = 5
-    _TURN = 7
-    _RAMP = 8
+    _BZ = 10
+    _H = 11
+    _LATE = 12
+    _FIELD_LATE = 13
+    _JUMP = BIASES
+    _TURN = _JUMP + 2
+    _RAMP = _TURN + 1
 
 
 cdef int filled(const double* row, int* columns) noexcept:
@@ -208,13 +209,13 @@ cdef class Navigation:
 
     @property
     def biases(self):
-        """Return the biases of the gyros x, y, z and the accelerometers x, y by the filter (5,)."""
+        """Return the biases of the gyros x, y, z and the accelerometers x, y, z by the filter (6,)."""
         return tuple(self._bias)
 
     @property
     def faults(self):
-        """Return the faults of those that are held responsible, zero for the others (5,)."""
-        return tuple([self.fault(which) for which in range(5)])
+        """Return the faults of those that are held responsible, zero for the others (6,)."""
+        return tuple([self.fault(which) for which in range(BIASES)])
 
     cdef void restart(self) noexcept:
         self._begun = False
@@ -298,6 +299,8 @@ cdef class Navigation:
                 specific[i] += 0.5 * (turned[3 * i + j] * aligned[j] + self._R[3 * i + j] * self._aligned[j])
             # At the tick's end.
             acceleration[i] = a[i] + (_GRAVITY if i == 2 else 0.0)
+        # The observer names a fault of accelerometer z by this.
+        acceleration[2] += turned[8] * self._bias[5]
         if first:
             self._begun = True
             self.point(field, R)
@@ -320,6 +323,8 @@ cdef class Navigation:
             change = 2.0 * (a[i] - specific[i]) * self._dt
             self._Q[_V + i][_V + i] += self.shaken(i, 3) + spread_between(change) + hidden[i]
             self._Q[_BA + i][_BA + i] += _WALK[3] * _WALK[3] * self._dt
+        if self._P[_BZ][_BZ] > 0.0:
+            self._Q[_BZ][_BZ] += _WALK[3] * _WALK[3] * self._dt
         for i in range(3):
             self._Q[_BG + i][_BG + i] += _WALK[2] * _WALK[2] * self._dt
         self._Q[_H][_H] += self._field_walk * self._field_walk * self._dt
@@ -353,7 +358,7 @@ cdef class Navigation:
         cdef int j
         for j in range(3):
             w[j] = rate[j] - self._bias[j]
-            f[j] = force[j] - (self._bias[3 + j] if j < 2 else 0.0)
+            f[j] = force[j] - self._bias[3 + j]
         cross(w, f, swing)
         for j in range(3):
             aligned[j] = f[j] + self._late_s * swing[j]
@@ -424,6 +429,7 @@ cdef class Navigation:
             v[i] += self._dt * self._swing[i] * m[_LATE * apart]
             m[(_V + i) * apart] += v[i] - self._dt * (
                 self._R[3 * i] * m[_BA * apart] + self._R[3 * i + 1] * m[(_BA + 1) * apart]
+                + self._R[3 * i + 2] * m[_BZ * apart]
             )
         for i in range(3):
             m[i * apart] -= self._dt * (
@@ -471,7 +477,7 @@ cdef class Navigation:
         )
         newest = &self._signatures[0]
         memset(newest, 0, sizeof(Signature))
-        for h in range(_JUMP):
+        for h in range(BIASES):
             newest.state[h][_BG + h] = 1.0
             newest.bias[h] = self._bias[h]
             newest.variance[h] = self._P[_BG + h][_BG + h]
@@ -675,7 +681,7 @@ cdef class Navigation:
         memcpy(self._R, E, sizeof(self._R))
         for i in range(2):
             self._velocity[i] += x[_V + i]
-        for i in range(5):
+        for i in range(BIASES):
             self._bias[i] += x[_BG + i]
         self._declined += x[_H]
         self._late_s += x[_LATE]
@@ -701,13 +707,13 @@ cdef class Navigation:
                 likelihood = 0.5 * signature.matched[h] * signature.matched[h] / (signature.energy[h] + _rarity(h))
                 if likelihood > best[h]:
                     best[h], onset[h] = likelihood, k
-                if h < 5 and self._faulty[h]:
+                if h < BIASES and self._faulty[h]:
                     # The signature contains what the filter has estimated of it since.
                     size = self._before[h] - signature.bias[h]
                     likelihood = size * signature.matched[h] - 0.5 * size * size * signature.energy[h]
                     if likelihood > end[h]:
                         end[h], ended[h] = likelihood, k
-        for h in range(5):
+        for h in range(BIASES):
             others = _ENDED
             for k in range(HYPOTHESES):
                 if k != h:
@@ -753,7 +759,7 @@ cdef class Navigation:
                 return
         if self._helpless > _HELPLESS:
             self.restart()
-        for h in range(5):
+        for h in range(BIASES):
             size = fabs(self._bias[h] - self._before[h])
             if self._faulty[h] and size < 0.5 * _LEAST[h >= 3]:
                 self._faulty[h] = False
@@ -781,7 +787,7 @@ cdef class Navigation:
             x[i] = size * signature.state[which][i]
             for j in range(STATES):
                 self._P[i][j] += spread * signature.state[which][i] * signature.state[which][j]
-        if which < 5:
+        if which < BIASES:
             if not self._faulty[which]:
                 self._faulty[which] = True
                 # What the filter has estimated of it since its onset belongs to the fault.
@@ -818,26 +824,27 @@ cdef class Navigation:
         return angle
 
     cdef double fault(self, int which) noexcept:
-        """Return the fault of a gyro (0, 1, 2) or an accelerometer (3, 4): how much too large it reads."""
+        """Return the fault of a gyro (0, 1, 2) or an accelerometer (3, 4, 5): how much too large it reads."""
         return self._bias[which] - self._before[which] if self._begun and self._faulty[which] else 0.0
 
     cdef double spread(self, int which) noexcept:
-        """Return the standard deviation of :meth:`fault`, from the bias now and before the fault.
+        """Return the standard deviation of :meth:`fault`, from the bias now and before the fault."""
+        if not self._begun:
+            return 0.0
+        return sqrt(self._P[_BG + which][_BG + which] + (self._doubt[which] if self._faulty[which] else 0.0))
 
-        For a compass (5): of the direction of a healthy field, by the tilt and heading from the gyros.
-        """
+    cdef double pointing(self) noexcept:
+        """Return the standard deviation of the direction of a healthy field, by the tilt and heading from the gyros."""
         cdef double[STATES] H
         cdef double variance = 0.0
         cdef int i, j
         if not self._begun:
             return 0.0
-        if which == _JUMP:
-            self.turn_field(H)
-            for i in range(STATES):
-                for j in range(STATES):
-                    variance += H[i] * self._P[i][j] * H[j]
-            return sqrt(variance)
-        return sqrt(self._P[_BG + which][_BG + which] + (self._doubt[which] if self._faulty[which] else 0.0))
+        self.turn_field(H)
+        for i in range(STATES):
+            for j in range(STATES):
+                variance += H[i] * self._P[i][j] * H[j]
+        return sqrt(variance)
 
 
 cdef inline double _rarity(int h) noexcept:

@@ -523,7 +523,7 @@ cdef class StrapdownCore:
                     for i in range(6):
                         # of gyros and compass the attitude tells, unless it is misled
                         if 3 <= i < 5 or self._biased_s > 0.0:
-                            spreads[count, i] = self._navigation.spread(i)
+                            spreads[count, i] = self._navigation.spread(i) if i < 5 else self._navigation.pointing()
                             if i < 5:
                                 sizes[count, i] = self._navigation.fault(i)
                 for i in range(self._outputs):
