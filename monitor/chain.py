@@ -291,11 +291,17 @@ class ObserverChain:
         # the alarm of each fault, and behind them a place for the index -1: no alarm
         self._alarm_of = np.full(len(names) + 1, -1, np.intp)
         self._alarm_of[self._faults] = np.arange(len(self._faults))
-        jumping = edge_faults(profile.isolation)
+        jumping, made = edge_faults(profile.isolation), made_by_sensors(profile)
         for alarm in self._alarms[: len(self._faults)]:
             name, jumps = alarm.rule.channel, alarm.rule.channel in jumping
             self._excuses.add(
-                name, alarm.state, profile.name, jumps=jumps, affect=alarm.affect, withdraw=alarm.withdraw
+                name,
+                alarm.state,
+                profile.name,
+                jumps=jumps,
+                affect=alarm.affect,
+                withdraw=alarm.withdraw,
+                made=made.get(name, {}),
             )
         for alarm in self._alarms if sooner else ():
             self._excuses.add_beside(alarm.rule.channel, alarm.state, sooner, alarm.rule.slow_s)
@@ -587,6 +593,30 @@ def _layout(profile: ObserverProfile) -> Layout:
         usual_commands=tuple(map(profile.usual_commands.get, names)),
         smoothing_s=profile.isolation.smoothing_s,
     )
+
+
+def made_by_sensors(profile: ObserverProfile) -> dict[str, dict[str, float]]:
+    """Return, by fault that scales an input, how large it seems to be for a unit of each sensor's constant bias.
+
+    The model takes a bias b of a state's sensor for disturbances (I - A) b of the next state. Each hypothesis of the
+    bank explains them by its faults as far as it can; the largest size counts. Only states that such a sensor measures
+    are compared, as others are noisier.
+    """
+    plant, rule = profile.model, profile.isolation
+    if plant is None or not isinstance(rule, BankRule) or plant.C.shape != plant.A.shape:
+        return {}
+    biases = {fault.name: fault.column for fault in plant.faults if fault.kind == "sensor"}
+    inputs = {fault.name: plant.inputs.index(fault.input) for fault in plant.faults if fault.input}
+    columns = np.array([*biases.values()]).reshape(len(biases), len(plant.A)).T
+    measured = columns.any(axis=1)
+    disturbed = ((np.eye(len(plant.A)) - plant.A) @ columns)[measured]
+    made: dict[str, dict[str, float]] = {}
+    for faults in (faults for faults in rule.hypotheses if inputs.keys() >= set(faults)):
+        effects = plant.B[measured][:, [inputs[name] for name in faults]]
+        for name, sizes in zip(faults, np.abs(np.linalg.pinv(effects) @ disturbed), strict=True):
+            known = made.setdefault(name, dict.fromkeys(biases, 0.0))
+            made[name] = {sensor: max(known[sensor], float(size)) for sensor, size in zip(known, sizes, strict=True)}
+    return made
 
 
 def shown_in(plant: Plant | None, layout: Layout) -> NDArray[np.bool_]:

@@ -73,6 +73,18 @@ def test_evidence_of_the_sample_that_cleared_the_cause_is_excused() -> None:
     assert excused(north, 10)
 
 
+def test_what_a_gyros_bias_makes_of_a_motors_evidence_raises_no_alarm_but_more_does() -> None:
+    excuses = Excuses(())
+    motor = watched(excuses, "motor1")
+    for factor, seconds, silent in ((50.0, 2, False), (90.0, 4, True)):
+        # evidence is 9, the threshold 1, the gyro's bias 0.1
+        excuses.add("motor1", motor, made={"gyro_z": factor})
+        excuses.follow(event("gyro_z", "raised", seconds - 1.0))
+        assert excused(motor, seconds) == silent
+    excuses.follow(event("gyro_z", "cleared", 5.0))
+    assert not excused(motor, 6)
+
+
 def test_an_observer_is_silent_while_one_that_sees_its_faults_sooner_names_any() -> None:
     excuses = Excuses(())
     trim = watched(excuses, "motor1")

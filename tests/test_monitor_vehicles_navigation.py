@@ -18,7 +18,7 @@ LEVEL = 12.1
 FIELD = {**DEFAULTS, "judge_level": LEVEL, "field_noise": 0.01, "field_walk": 0.005}
 MAG = slice(15, 18)
 ONSET, END = 2000, 3000
-NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y")
+NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 
 
 def named(raw: NDArray[np.float64], parameters: Mapping[str, float] = FIELD) -> dict[str, NDArray[np.float64]]:
@@ -223,6 +223,23 @@ def gps_apart(raw: NDArray[np.float64]) -> NDArray[np.float64]:
             washed[k, i] = keep * washed[k - 1, i] + tau * (1.0 - keep) * samples.u[k - 1, i]
         washed[:, i] -= samples.y[:, transform.outputs.index(name)]
     return washed
+
+
+def test_a_bias_of_accelerometer_z_that_manoeuvres_tilt_is_no_ramp_of_the_gps() -> None:
+    t, rng = np.arange(6000) / truth.SIGNAL_HZ, np.random.default_rng(0)
+    pitch = 0.4 * np.sin(2.0 * np.pi * t / 8.0) ** 3
+    north = np.cumsum(-9.80665 * np.tan(pitch)) / truth.SIGNAL_HZ
+    north += np.repeat(0.05 * rng.normal(size=len(t) // 20), 20) - north.mean()
+    raw = np.zeros((len(t), 18))
+    raw[:, 2], raw[:, 4], raw[:, 7] = -9.80665 / np.cos(pitch), np.gradient(pitch, t), pitch
+    raw[:, :3] += 0.05 * rng.normal(size=(len(t), 3))
+    raw[:, 9:11], raw[:, 12], raw[:, 13] = truth.HOME, np.abs(north), np.where(north < 0.0, 180.0, 0.0)
+    dip = np.arctan2(0.43, 0.21) + pitch
+    raw[:, MAG] = np.column_stack([0.48 * np.cos(dip), np.zeros(len(t)), 0.48 * np.sin(dip)])
+    raw[ONSET:, 2] += 0.6
+    found = named(raw)
+    assert found["accel_z"][-1] == pytest.approx(0.6, abs=0.05)
+    assert others(found, "accel_z") == 0.0
 
 
 def test_a_velocity_of_the_gps_that_jumps_is_no_fault_of_the_imu() -> None:

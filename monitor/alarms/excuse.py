@@ -3,14 +3,18 @@
 While a channel is excused, its evidence raises no alarm. An alarm that is active already follows its evidence as usual:
 it clears when the evidence is gone, or ends at once if the rule says that a consequence may be raised before its cause.
 
+A fault may make evidence of a known size elsewhere: a gyro's bias b looks like a motor that lacks b (1 - a) / B, with
+damping a and effect B. While its alarm is active, that much evidence raises no alarm.
+
 If two observers watch one channel (a gyro, by the motors' and by the inertial observer), both see one fault: while the
 alarm of one is active, the other raises none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,7 +67,8 @@ class Excuses:
         for rule in rules:
             for channel in rule.channels:
                 self._rules.setdefault(channel, []).append(rule)
-        self._active: dict[str, set[str]] = {}
+        self._active: dict[str, dict[str, float]] = {}  # sizes by id
+        self._made: dict[AlarmState, Mapping[str, float]] = {}
         self._cleared_ns: dict[str, int] = {}
         self._alarms: dict[str, list[AlarmState]] = {}
         self._lasting_cleared_ns: dict[str, int] = {}
@@ -83,11 +88,13 @@ class Excuses:
         jumps: bool = False,
         affect: Affect | None = None,
         withdraw: Withdraw | None = None,
+        made: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         """Register an alarm of this channel: the rules, and alarms of other observers, excuse it from now on.
 
         ``jumps``: its observer sees the begin and the end of a fault as jumps, and not that the fault lasts. ``affect``
         is called with the channels that the alarm explains; ``withdraw`` ends the alarm if a later one explains it.
+        ``made`` is how much evidence of this channel a unit of other faults makes, by channel.
         """
         self._alarms.setdefault(channel, []).append(alarm)
         if jumps:
@@ -96,6 +103,8 @@ class Excuses:
             self._affect.setdefault(channel, []).append(affect)
         if withdraw is not None:
             self._withdraw.setdefault(channel, []).append(withdraw)
+        if made:
+            self._made[alarm] = made
 
     def add_beside(self, channel: str, alarm: AlarmState, sooner: Collection[str], for_s: float) -> None:
         """Excuse an alarm while an observer that sees its faults sooner has named one, and for some time after.
@@ -110,8 +119,9 @@ class Excuses:
         """Return the event by which an active alarm lists the channel that it explains, if any does."""
         if alarm in self._doubted:
             return self._doubted[alarm](channel, time_ns, vehicle_ns)
-        rules = [rule for rule in self._rules.get(channel, ()) if not rule.same_cause]
-        for cause in (cause for rule in rules for cause in rule.by if self._active.get(cause)):
+        causes = [cause for rule in self._rules.get(channel, ()) if not rule.same_cause for cause in rule.by]
+        causes += self._made[alarm] if alarm in self._made else ()
+        for cause in (cause for cause in causes if self._active.get(cause)):
             for affect in self._affect.get(cause, ()):
                 if (event := affect(channel, time_ns, vehicle_ns)) is not None:
                     return event
@@ -157,12 +167,16 @@ class Excuses:
 
     def follow(self, event: AlarmEvent) -> None:
         """Follow an event of any channel: the rows after it are excused accordingly."""
-        active = self._active.setdefault(event.channel, set())
+        active = self._active.setdefault(event.channel, {})
         if event.state == "cleared":
-            active.discard(event.id)
+            active.pop(event.id, None)
             self._cleared_ns[event.channel] = event.vehicle_time_ms * 1_000_000
         else:
-            active.add(event.id)
+            active[event.id] = abs(event.estimate or 0.0)
+        for alarm, made in self._made.items():
+            if event.channel in made:
+                sizes = (size * made[name] for name in made for size in self._active.get(name, {}).values())
+                alarm.allow(max(sizes, default=0.0))
         for channel, alarms in self._alarms.items():
             shared = channel == event.channel and len(alarms) > 1
             if shared or any(event.channel in rule.by for rule in self._rules.get(channel, ())):

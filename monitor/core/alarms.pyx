@@ -134,6 +134,7 @@ cdef class AlarmState:
     cdef int64_t raised_ns[3]
     cdef int raised_count
     cdef bint excused_now
+    cdef double allowed
     cdef int64_t[:, ::1] excused_spans
 
     def __init__(self):
@@ -147,6 +148,7 @@ cdef class AlarmState:
         self.rival = -1
         self.forget()
         self.excused_spans = None
+        self.allowed = 0.0
 
     def set_rule(self, rule):
         """Apply the sizes and times of an :class:`monitor.alarms.alarm.AlarmRule` from the next row on."""
@@ -164,6 +166,10 @@ cdef class AlarmState:
         """Set when other alarms explain the evidence: always from now on, or in spans of vehicle time (m, 2), ns."""
         self.excused_now = now
         self.excused_spans = spans
+
+    def allow(self, double size):
+        """Set how much of the evidence another alarm's fault makes from now on: that much raises no alarm."""
+        self.allowed = size
 
     def resume(self, double estimate, double peak, double size, double sd, int64_t reported_ns, bint critical,
                bint creeping, bint recurring):
@@ -231,7 +237,7 @@ cdef class AlarmState:
         if not speaking:
             self.contiguous = False
             return NONE
-        if not self.active and self.excused(now):
+        if not self.active and (self.excused(now) or fabs(evidence) - scale * self.threshold < self.allowed != 0.0):
             self.contiguous = False
             return self.explain(now, fabs(evidence) / scale)
         self.explained, self.explained_ns = False, 0
@@ -270,7 +276,7 @@ cdef class AlarmState:
         size. An actuator that delivers more than commanded has to show in the estimate, too.
         """
         cdef double size = fabs(change.size) + fabs(change.growth) * self.ahead_s
-        if not (change.nats >= self.nats and size >= self.least and change.onset_ns > self.ended_ns):
+        if not (change.nats >= self.nats and size >= self.least + self.allowed and change.onset_ns > self.ended_ns):
             return False
         return change.size < 0.0 or not self.fails_towards_less or evidence >= self.clear
 
