@@ -83,3 +83,5 @@ class Given(NamedTuple):
     corrected: NDArray[np.bool_] | None = None
     # y of the sample after each, if it is known together with it (n, p): its inputs are means up to then
     ahead: NDArray[np.float64] | None = None
+    # raw signals that repeat for longer than they ever did in health, by name since when, in vehicle time, ns
+    still: Mapping[str, int] = MappingProxyType({})

@@ -177,7 +177,7 @@ class EvidenceFlow:
     def frozen(self) -> dict[str, int]:
         """Messages that stand still of those that sensors are compared with, and since when, in vehicle time."""
         late = [group for group, late in zip(self.groups, self._overdue, strict=False) if late and not group.label]
-        still = self.chain.sampler.still if late else {}
+        still = self.chain.still if late else {}
         return {name: still[name] for group in late for name in group.messages if name in still}
 
     def lacks(self, now_ns: int, contested: bool, *, any_message: bool) -> list[tuple[str, str]]:
@@ -216,7 +216,7 @@ class EvidenceFlow:
             return f"flight not carried by its {lift.by} alone", "not_carried"
         if self.chain.gate.down:
             return "commands too small for flight", "contradicted"
-        if still := self.chain.sampler.still:
+        if still := self.chain.still:
             return f"{' and '.join(still)} frozen", "gap"
         if self._lost:
             return f"no {' and no '.join(self._lost)}", "gap"

@@ -275,6 +275,7 @@ class ObserverChain:
         self._actuators = {channel.name for channel in profile.faults if channel.input is not None}
         self._excuses = excuses or Excuses(())
         self._distrusted = False
+        self._still: Mapping[str, int] = MappingProxyType({})
         # faults first, then the alarm of what no fault explains: the order in which a row is processed
         rules = sorted(profile.alarms, key=lambda rule: rule.kind == "residual")
         self._alarms = tuple(Alarm(rule, vehicle) for rule in rules)
@@ -327,6 +328,12 @@ class ObserverChain:
         """Apply other sizes and times of alarms from the next sample on, by channel and key."""
         for alarm in self._alarms:
             alarm.set_rule(retuned(alarm.rule, rules.get(alarm.rule.channel, {})))
+
+    @property
+    def still(self) -> Mapping[str, int]:
+        """Names of the messages whose values repeat, and the vehicle times of their last change, ns."""
+        raw = {one.message: self._still[one.name] for one in self.source.signals if one.name in self._still}
+        return {**raw, **self.sampler.still}
 
     @property
     def has_active_alarms(self) -> bool:
@@ -400,6 +407,7 @@ class ObserverChain:
         if not len(raw):
             return None
         given = self._sampler.run(raw)
+        self._still = given.still
         if self._envelope is not None:
             outside = self._envelope.run(raw, np.arange(len(raw))[given.rows])
             beyond = outside if given.beyond is None else outside * given.beyond

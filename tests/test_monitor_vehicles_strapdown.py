@@ -398,6 +398,8 @@ def test_an_imu_whose_values_all_stay_the_same_is_not_measured() -> None:
         assert frozen
         assert all(s.complete != spoiled for s in frozen)
         assert samples[-1].complete
+        found = Strapdown({"imu_hold_s": hold_s}, truth.SIGNAL_HZ, truth.RATE_HZ).run(raw_samples(raw[:400]))
+        assert found.still == (dict.fromkeys(IMU, 3_000_000_000) if spoiled else {})
 
 
 def test_pressure_becomes_altitude() -> None:

@@ -10,6 +10,7 @@ class StrapdownCore:
     scores: NDArray[np.float64]
     spreads: NDArray[np.float64]
     sizes: NDArray[np.float64]
+    frozen_ns: int
 
     def __init__(
         self,

@@ -240,6 +240,8 @@ cdef class StrapdownCore:
         them in each of these samples (n, 6); 0 where it does not.
     sizes : ndarray
         Sizes of the faults of gyros and accelerometers that it believes (n, 5); 0 where it believes none.
+    frozen_ns : int
+        Vehicle time since which IMU and attitude have been the same, if that is longer than ``imu_hold``; otherwise 0.
     """
 
     cdef bint _gps, _baro, _mag, _hectopascal
@@ -257,6 +259,8 @@ cdef class StrapdownCore:
     cdef int _washed
     cdef double _biased_s, _attitude_share
     cdef bint _learned
+    cdef readonly long long frozen_ns
+    cdef long long _changed_ns
     cdef int _gps_hold, _compass_hold, _imu_hold, _imu_age, _count, _inputs, _outputs
     cdef double[9] _imu
     cdef double[_WIDEST] _keep
@@ -375,7 +379,7 @@ cdef class StrapdownCore:
         self._learned = learned
         self._washed = len(washouts) - (2 if navigation is not None else 0)
         self._gps_hold, self._compass_hold, self._imu_hold = gps_hold, compass_hold, imu_hold
-        self._imu_age = 0
+        self._imu_age, self._changed_ns, self.frozen_ns = 0, 0, 0
         memset(self._imu, 0, sizeof(self._imu))
         self._count, self._inputs, self._outputs = count, inputs, len(washouts)
         for i, (keep, gain) in enumerate(washouts):
@@ -476,6 +480,8 @@ cdef class StrapdownCore:
             if restart[row] or self._unstuck:
                 self.restart()
             self.find_lacking(&raw[row, 0], &lost[row, 0], lacks)
+            self._changed_ns = self._changed_ns if self._imu_age else vehicle[row]
+            self.frozen_ns = self._changed_ns if self._imu_age > self._imu_hold > 0 else 0
             line_s = self._stills * self._dt
             # Gyros too slow to be integrated are compared as they are: a line hides nothing of them.
             for i in range(0 if self._learned and not lacks[_IMU] else 6):

@@ -183,6 +183,8 @@ class Strapdown:
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw signals (``samples.u``) complete, each at the end of its period."""
         given = self._core.run(self._learned.run(samples) if self._learned else samples)
+        if self._core.frozen_ns:
+            given = given._replace(still=dict.fromkeys(IMU, self._core.frozen_ns))
         if self.navigation is None:
             return given
         return given._replace(
