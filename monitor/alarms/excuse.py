@@ -120,7 +120,7 @@ class Excuses:
         if alarm in self._doubted:
             return self._doubted[alarm](channel, time_ns, vehicle_ns)
         causes = [cause for rule in self._rules.get(channel, ()) if not rule.same_cause for cause in rule.by]
-        causes += self._made[alarm] if alarm in self._made else ()
+        causes += () if alarm is None else self._made.get(alarm, ())
         for cause in (cause for cause in causes if self._active.get(cause)):
             for affect in self._affect.get(cause, ()):
                 if (event := affect(channel, time_ns, vehicle_ns)) is not None:
