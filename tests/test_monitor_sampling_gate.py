@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -103,6 +104,33 @@ def test_what_stands_on_the_ground_counts_no_more_although_it_is_still_reported_
     assert admitted(rule, dropping, (phase(), 160)) == [False] * 2 + [True] * 158
     # never again, however long it goes on to report that
     assert not any(admitted(rule, commanded(0.6, *[0.1] * 1200), (phase(), 1201))[60:])
+
+
+@pytest.mark.parametrize(
+    ("rate", "above_mm", "held"),
+    [(0.005, 0, True), (0.005, 5000, False), (0.05, 0, False), (np.nan, 0, False)],
+)
+def test_a_command_that_falls_while_the_vehicle_stands_low_is_a_touch_down(
+    rate: float, above_mm: int, held: bool
+) -> None:
+    """What turns, or is high, flies, and so does what goes on with a smaller command."""
+    known = phase()
+    known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", 0, {"relative_alt": above_mm}, 1, 1))
+    samples = commanded(*[0.6] * 100, *np.linspace(0.6, 0.35, 150), *[0.35] * 400)
+    turning = np.full((len(samples), 3), rate)
+    turning[:100] = 0.05
+    samples = replace(samples, y=turning)
+    found = admitted(GateRule(settle_s=0.02, airborne_command=0.3), samples, (known, len(samples)))[2:]
+    missed = np.flatnonzero(~np.array(found))
+    assert len(missed) == 0 if not held else 145 <= missed[0] < 160 and 350 < missed[-1] < 650
+
+
+def test_what_stands_has_not_lifted_off_although_its_command_is_that_of_hovering() -> None:
+    known = phase()
+    known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", 0, {"relative_alt": 0}, 1, 1))
+    samples = commanded(*np.linspace(0.1, 0.6, 100), *[0.6] * 100)
+    samples = replace(samples, y=np.repeat([[0.001], [0.1]], 100, axis=0))
+    assert admitted(GateRule(settle_s=0.02, airborne_command=0.3), samples, (known, 200)).index(True) == 102
 
 
 def test_raw_signals_of_sensors_are_no_commands() -> None:
