@@ -628,7 +628,7 @@ def _values(field: FieldRule, records: _Recorded) -> Floats:
     if values is None:
         return number
     if field.angle is not None:
-        return _angle(values, field.angle)
+        return rotation_angle(values, field.angle)
     if values.ndim > 1 or values.dtype.kind == "b":
         return number
     with np.errstate(over="ignore", invalid="ignore"):
@@ -636,8 +636,8 @@ def _values(field: FieldRule, records: _Recorded) -> Floats:
     return np.where(np.abs(scaled) <= MAX_VALUE, scaled, np.nan)
 
 
-def _angle(quaternion: NDArray[Any], which: Angle) -> Floats:
-    """Return an angle of rotations (n, 4) from body (x ahead, z down) to earth axes, radians."""
+def rotation_angle(quaternion: NDArray[Any], which: Angle) -> Floats:
+    """Return an angle of rotations (w, x, y, z) (n, 4) from body (x ahead, z down) to earth axes, radians."""
     if quaternion.ndim != 2 or quaternion.shape[1] != 4 or quaternion.dtype.kind != "f":
         return _nothing(len(quaternion))
     known = (np.abs(quaternion) < _LARGEST_QUATERNION).all(axis=1)

@@ -13,7 +13,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from adapters.batch import Batch
+from adapters.channels import Angle
 from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
+from adapters.logs.log_telemetry import rotation_angle
 from monitor.alarms.command_watch import COMMANDS, CommandSent, StreamFilter
 from monitor.vehicles.kinds import KINDS
 
@@ -22,7 +24,7 @@ Changes = Sequence[tuple[float, float]]
 """Times at which a value changed, and the new values."""
 Spans = Sequence[tuple[float, float]]
 """Begins and ends of a state, in order."""
-ANGLES = ("roll", "pitch", "yaw")
+ANGLES: tuple[Angle, ...] = ("roll", "pitch", "yaw")
 RATIOS = ("velocity", "position", "height")
 SUBMARINE = "submarine"
 
@@ -78,11 +80,8 @@ class LogSignal:
 
     def angles_deg(self) -> LogSignal:
         """Return roll, pitch and yaw of quaternions (w, x, y, z), degrees."""
-        w, x, y, z = self.values.T
-        roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-        pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
-        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        return replace(self, values=np.degrees(np.stack([roll, pitch, yaw], axis=1)), names=ANGLES, unit="deg")
+        angles = np.stack([rotation_angle(self.values, which) for which in ANGLES], axis=1)
+        return replace(self, values=np.degrees(angles), names=ANGLES, unit="deg")
 
     def way(self) -> LogSignal:
         """Return the path north and east (m) from latitude, longitude (degrees or 1e-7 of one) and kind of fix."""
