@@ -352,22 +352,8 @@ class BlindAlarm:
             if (active.message, active.severity) == (text, severity) or now_ns - active.time_ns < _UPDATE_NS:
                 return []
             return [self._next(active, "updated", now_ns, vehicle_ns, text, severity)]
-        self._slot, self._affected = slot, []
-        self.frozen = {name: since_ns for flow in self.flows for name, since_ns in flow.frozen.items()}
-        self.active = fixed_rule_event(
-            self._vehicle,
-            OBSERVER,
-            CHANNEL,
-            kind="blind",
-            state="raised",
-            severity=severity,
-            unit="s",
-            threshold=LIMIT_NS / 1e9,
-            time_ns=now_ns,
-            vehicle_time_ms=vehicle_ns // 1_000_000,
-            message=text,
-        )
-        return [self.active]
+        self._slot = slot
+        return [self._raise(now_ns, vehicle_ns, text, severity)]
 
     def affect(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
         """Add that frozen values explain a channel's evidence; return the event, or None if that is known."""
@@ -385,6 +371,24 @@ class BlindAlarm:
     def watching(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> dict[str, Watching]:
         """Return the state of each observer's evidence at a Unix time."""
         return {flow.name: flow.watching(now_ns, vehicle_ns, flying, contested) for flow in self.flows}
+
+    def _raise(self, now_ns: int, vehicle_ns: int, text: str, severity: Severity) -> AlarmEvent:
+        self._affected = []
+        self.frozen = {name: since_ns for flow in self.flows for name, since_ns in flow.frozen.items()}
+        self.active = fixed_rule_event(
+            self._vehicle,
+            OBSERVER,
+            CHANNEL,
+            kind="blind",
+            state="raised",
+            severity=severity,
+            unit="s",
+            threshold=LIMIT_NS / 1e9,
+            time_ns=now_ns,
+            vehicle_time_ms=vehicle_ns // 1_000_000,
+            message=text,
+        )
+        return self.active
 
     def _clear(self, active: AlarmEvent, now_ns: int, vehicle_ns: int, flying: bool) -> AlarmEvent:
         text = "the vehicle is watched again" if flying else "the vehicle is no longer in flight"

@@ -365,19 +365,10 @@ class Pipeline:
 
         Return its end.
         """
-        # A flood that begins in the segment lasts for flood_s.
-        flood_ns = start_ns + round(self.desk.rule.flood_s * 1e9)
-        shelved_ns = self.desk.due_ns
-        blind_ns = self._blind.due_ns(self._flies(), start_ns)
-        clock = self._clock
-        until_ns = clock.contested_ns, *clock.found.values(), self._numbered_ns
-        contested_ns = min((ns for ns in until_ns if start_ns < ns), default=flood_ns)
-        contested_ns = min([contested_ns, *(ns for ns in (self._driven_ns, self._level_ns) if ns is not None)])
-        due_ns = min(flood_ns, blind_ns, contested_ns, self._landed_ns, self._link.due_ns)
         reach = functools.partial(
             arrivals.segment,
             start,
-            min(due_ns, flood_ns if shelved_ns is None else shelved_ns),
+            self._due_ns(start_ns),
             self._stale.carried_ns,
             self._stale.limit_ns,
             self._link.heartbeat_ns,
@@ -390,7 +381,7 @@ class Pipeline:
         allowed = allows(self.profile.gate, self._phase)
         for stage in self._stages:
             stage.enter(allowed)
-        clock.flies = allowed and bool(self._phase.armed)
+        self._clock.flies = allowed and bool(self._phase.armed)
         batch = cut(arrivals.batch, start, segment.stop)
         taken = sample_batch(self._clock, self._samplers, batch, stops=True)
         if taken.used < batch.count:
@@ -417,6 +408,21 @@ class Pipeline:
         outputs.extend(run.estimates for run in runs)
         outputs.extend(self._through_desk(alarm_events(runs, self._excuses)))
         return segment.stop
+
+    def _due_ns(self, start_ns: int) -> int:
+        """Return the Unix time from which on a message of a segment would do more than bring measurements."""
+        # A flood that begins in the segment lasts for flood_s.
+        flood_ns = start_ns + round(self.desk.rule.flood_s * 1e9)
+        contests_ns = self._clock.contested_ns, *self._clock.found.values(), self._numbered_ns
+        later_ns = self.desk.due_ns, self._driven_ns, self._level_ns
+        return min(
+            flood_ns,
+            self._blind.due_ns(self._flies(), start_ns),
+            self._landed_ns,
+            self._link.due_ns,
+            *(ns for ns in contests_ns if start_ns < ns),
+            *(ns for ns in later_ns if ns is not None),
+        )
 
     def _follow_evidence(self, batch: Batch, runs: Sequence[ChainRun | None], received: Callable[[int], int]) -> None:
         """Follow the evidence that the messages of a segment gave."""

@@ -142,25 +142,11 @@ def fit_effects(
     rule = replace(bare, parameters=speeds | {key: round(value, 6) for key, value in fit.parameters().items()})
     flights = [transformed(flight, make_transform(rule, rate_hz)) for flight in raw]
     reading = _reading(kind, fit, plant, gains, flights)
-    units = dict(zip(gains.faults, gains.fault_units, strict=True))
     lags_s = {fault: rule.parameters[f"{fault}_lag_s"] for fault in gains.faults}
     changes = fit_changes(plant, rate_hz, plant.outputs, flights, lags_s=lags_s)
     nats = inf
     if changes is not None:
         nats = healthy_nats(plant, rate_hz, fault_channels((gains,)), changes, flights, FALSE_ALARMS_PER_HOUR).level
-    alarms = [
-        replace(
-            bare_rule(kind.observer, fault, "actuator", units[fault]),
-            threshold=_THRESHOLD,
-            clear=_CLEAR,
-            critical=_CRITICAL,
-            raise_s=_RAISE_S,
-            clear_s=_CLEAR_S,
-            nats=nats,
-            least=reading[fault].least_offset,
-        )
-        for fault in gains.faults
-    ]
     comparison = compare_effects(learn, segments, rate_hz)
     fitted = Fitted(
         name=kind.observer,
@@ -168,7 +154,7 @@ def fit_effects(
         gains=(gains,),
         source=SampleSource(transform=rule, signals=signals.channels, lift=lift),
         isolation=IndependentRule(_SMOOTHING_S),
-        alarms=tuple(Calibrated(alarm, None) for alarm in alarms),
+        alarms=_alarms(kind, gains, nats, reading),
         effectiveness=reading,
         changes=changes,
         reached=_reached(gains, flights),
@@ -181,6 +167,25 @@ def fit_effects(
         agreement=_agreement(plant, gains.faults, request.names, [flight.segments() for flight in flights]),
     )
     return fitted, gate
+
+
+def _alarms(
+    kind: EffectKind, gains: Gains, nats: float, reading: Mapping[str, EffectivenessRule]
+) -> tuple[Calibrated, ...]:
+    rules = [
+        replace(
+            bare_rule(kind.observer, fault, "actuator", unit),
+            threshold=_THRESHOLD,
+            clear=_CLEAR,
+            critical=_CRITICAL,
+            raise_s=_RAISE_S,
+            clear_s=_CLEAR_S,
+            nats=nats,
+            least=reading[fault].least_offset,
+        )
+        for fault, unit in zip(gains.faults, gains.fault_units, strict=True)
+    ]
+    return tuple(Calibrated(rule, None) for rule in rules)
 
 
 def _reference_speed(kind: EffectKind, raw: Sequence[Flight]) -> float:
