@@ -1,6 +1,7 @@
 """A flight repeated into a telemetry log of any length: every clock in it moves on from one copy to the next.
 
-The packets are those of the flight; only time stamps and, with them, checksums are others.
+The packets are those of the flight; time stamps, the last bits of floats and, with them, checksums are others. With the
+same floats the flight would be a recording that is sent again, of which fauio warns.
 """
 
 from __future__ import annotations
@@ -19,6 +20,11 @@ from adapters.mavlink.mavlink_message import MAGIC_1, mavlink_types, message_num
 _CLOCKS = {"time_boot_ms": 1_000, "time_usec": 1, "time_unix_usec": 1}
 _PAUSE_US = 1_000_000
 TIME_BYTES = 8
+
+
+def shaken(floats: NDArray[np.uint32], seed: int) -> NDArray[np.uint32]:
+    """Return the bits of floats with other last three bits: 1e-6 of a value, less than the noise of any sensor."""
+    return floats ^ np.random.default_rng(seed).integers(0, 8, floats.shape, np.uint32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +85,7 @@ class LongLog:
         payloads = at + np.where(self._data[at] == MAGIC_1, 6, 10)
         lengths = self._data[at + 1].astype(np.int64)
         self._clocks: list[_Clock] = []
+        floats = []
         changed = np.zeros(len(self._starts), np.bool_)
         for number in np.unique(self._numbers).tolist():
             table = mavlink_types()[number].table
@@ -92,7 +99,12 @@ class LongLog:
                     rows = (self._numbers == number) & (lengths >= offset + width)
                     self._clocks.append(_Clock(payloads[rows] + offset, np.dtype(f"<{code}"), _CLOCKS[name]))
                     changed |= rows
+                for at_byte in range(offset, offset + width * length, width) if code == "f" else ():
+                    rows = (self._numbers == number) & (lengths >= at_byte + width)
+                    floats.append(payloads[rows] + at_byte)
+                    changed |= rows
                 offset += width * length
+        self._floats = np.concatenate(floats)[:, None] + np.arange(4)
         extra = np.array([mavlink_types()[number].extra for number in self._numbers.tolist()], np.uint8)
         size = payloads + lengths - at - 1
         self._checked = [
@@ -113,6 +125,7 @@ class LongLog:
             # microseconds of 32 bits begin anew after 72 minutes, in the autopilot too
             later = clock.kind.type(later_us // clock.unit_us % (1 << 8 * clock.kind.itemsize))
             data[places] = (values + later).astype(clock.kind).view(np.uint8)
+        data[self._floats] = shaken(data[self._floats].view(np.uint32), later_us).view(np.uint8)
         for starts, size, extra in self._checked:
             crc = np.full(len(starts), 0xFFFF, np.uint16)
             for k in range(size):

@@ -1,6 +1,7 @@
 """Time that `fauio info`, `convert` and `replay` take for a long log of PX4, in multiples of pyulog reading it.
 
-A flight is repeated, each time later by its length, until the log has the size asked for. Each figure is the processor
+A flight is repeated, each time later by its length and with other last bits of its floats (with the same it would be a
+recording that is sent again, of which fauio warns), until the log has the size asked for. Each figure is the processor
 time of a process of its own, from its start to its end, imports included; the least of some runs. Run it with
 
     python bench/onboard_logs.py [FLIGHT.ulg] [--mb 100] [--runs 2] [--profile FOLDER]
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import struct
 import subprocess
@@ -19,46 +21,58 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from long_log import shaken
 from onboard_flights import ulog_of
 
 import fauio
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.recordings import read_recording
-from adapters.logs.ulog import parse_format
+from adapters.logs.ulog import UlogField, compile_type, parse_format
 
-DATA = Path(__file__).parents[1] / "tests" / "data"
+FLIGHT = Path(__file__).parents[1] / "tests" / "data" / "copter_healthy_square.tlog.xz"
 QUAD = Path(fauio.__file__).parent / "replay" / "data" / "quad"
 _HEAD = struct.Struct("<HB")
 _FILE_HEAD_BYTES = 16
-_STAMP = "timestamp"
-_PAUSE_US = 10_000
+_PAUSE_US = 2_000_000
+"""Between two flights, so that observers restart: where the second begins is not where the first ended."""
 
 
 def repeated(flight: bytes, size: int) -> Iterator[bytes]:
     """Yield a log of about so many bytes: the flight, and its topics' records again and again, each time later."""
-    formats: dict[str, bool] = {}
+    formats: dict[str, tuple[UlogField, ...]] = {}
     stamped: dict[int, bool] = {}
+    # positions of the floats in the records of a topic, and among all records' bytes
+    floats: dict[int, NDArray[np.int64]] = {}
+    floats_at: list[NDArray[np.int64]] = []
     records: list[bytes] = []
+    total = 0
     at = _FILE_HEAD_BYTES
     while at + _HEAD.size <= len(flight):
         count, kind = _HEAD.unpack_from(flight, at)
         body = flight[at + _HEAD.size : at + _HEAD.size + count]
         if kind == ord("F"):
             name, fields = parse_format(body)
-            formats[name] = fields[0].name == _STAMP and fields[0].kind == "uint64_t"
+            formats[name] = fields
         elif kind == ord("A"):
-            stamped[struct.unpack_from("<H", body, 1)[0]] = formats[body[3:].decode()]
-        elif kind == ord("D") and stamped[struct.unpack_from("<H", body)[0]]:
+            name, number = body[3:].decode(), struct.unpack_from("<H", body, 1)[0]
+            stamped[number] = formats[name][0] == UlogField("timestamp", "uint64_t", None)
+            floats[number] = _HEAD.size + 2 + np.array(_floats(compile_type(name, formats).layout.dtype, 0), np.int64)
+        elif kind == ord("D") and stamped[number := struct.unpack_from("<H", body)[0]]:
             records.append(flight[at : at + _HEAD.size + count])
+            floats_at.append(total + floats[number])
+            total += len(records[-1])
         at += _HEAD.size + count
     ends = np.cumsum([len(record) for record in records])
     places = np.concatenate([[0], ends[:-1]]) + _HEAD.size + 2
     data = np.frombuffer(b"".join(records), np.uint8).copy()
     eight = places[:, None] + np.arange(8)
+    four = np.concatenate(floats_at)[:, None] + np.arange(4)
     times_us = data[eight].view("<u8").ravel()
     # stamps of other clocks and damaged ones are left as they are
     middle = np.median(times_us)
@@ -69,9 +83,20 @@ def repeated(flight: bytes, size: int) -> Iterator[bytes]:
     while total < size:
         later += period_us
         copy = data.copy()
+        copy[four] = shaken(data[four].view(np.uint32), later).view(np.uint8)
         copy[eight[good]] = (times_us[good] + np.uint64(later)).view(np.uint8).reshape(-1, 8)
         yield copy.tobytes()
         total += len(copy)
+
+
+def _floats(kind: np.dtype[Any], at: int) -> list[int]:
+    """Return the positions of the floats in a field that begins at a position."""
+    if kind.subdtype is not None:
+        one, shape = kind.subdtype
+        return [place for number in range(math.prod(shape)) for place in _floats(one, at + number * one.itemsize)]
+    if kind.fields is not None:
+        return [place for one, offset, *_ in kind.fields.values() for place in _floats(one, at + offset)]
+    return [at] if kind == np.float32 else []
 
 
 def processor_s(command: list[str], runs: int) -> tuple[float, float]:
@@ -100,7 +125,7 @@ def main() -> None:
         log, out = Path(folder) / "long.ulg", Path(folder) / "long.mcap"
         flight = args.flight
         if flight is None:
-            flight = ulog_of(read_recording(DATA / "copter_5s.tlog.xz"), Path(folder) / "flight.ulg", motors=True)
+            flight = ulog_of(read_recording(FLIGHT), Path(folder) / "flight.ulg", motors=True)
         with log.open("wb") as file:
             file.writelines(repeated(b"".join(CompressedFile(flight)), round(args.mb * 1e6)))
         python, command = sys.executable, [sys.executable, "-m", "fauio"]

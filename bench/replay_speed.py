@@ -30,7 +30,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from long_log import LongLog
 
-from adapters.batch import Batch, cut
+from adapters.batch import Batch, arrival_times, cut
 from adapters.logs.recordings import read_batches
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
@@ -59,12 +59,7 @@ def in_small_batches(profile: Profile, path: Path) -> tuple[float, tuple[AlarmEv
 
 def small_batches(batch: Batch) -> Iterator[Batch]:
     """Yield the messages of a batch 20 ms at a time, by their times of arrival."""
-    received_ns = np.zeros(batch.count, np.int64)
-    for columns in batch.columns:
-        received_ns[columns.position] = columns.received_ns
-    for index, message in batch.others.items():
-        received_ns[index] = message.received_ns
-    edges = np.flatnonzero(np.diff(received_ns // BATCH_NS)) + 1
+    edges = np.flatnonzero(np.diff(arrival_times(batch) // BATCH_NS)) + 1
     for start, stop in pairwise([0, *edges.tolist(), batch.count]):
         yield cut(batch, start, stop)
 
