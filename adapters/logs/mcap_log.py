@@ -16,7 +16,7 @@ import struct
 import zlib
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from itertools import accumulate, chain
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, BinaryIO, Self, cast
 
@@ -369,9 +369,9 @@ class MessageLogWriter:
         heads["publish"] = times_ns
         for message, publish_ns in self._publish_ns.items():
             heads["publish"][message] = publish_ns
-        packed = heads.tobytes()
-        parts = (packed[at : at + _MESSAGE_BYTES] for at in range(0, len(packed), _MESSAGE_BYTES))
-        records = b"".join([bytes(self._definitions), *chain.from_iterable(zip(parts, data, strict=True))])
+        parts = [b""] * (2 * len(data))
+        parts[::2], parts[1::2] = heads.view(f"V{_MESSAGE_BYTES}").tolist(), data
+        records = b"".join([bytes(self._definitions), *parts])
         return records, len(self._definitions) + np.cumsum(length) - length
 
     def _begin_chunk(self) -> None:
