@@ -18,7 +18,8 @@ from adapters.mavlink.mavlink_message import MAGIC_1, mavlink_types, message_num
 
 # Fields of the vehicle's clock and of Unix time, and their units in a microsecond.
 _CLOCKS = {"time_boot_ms": 1_000, "time_usec": 1, "time_unix_usec": 1}
-_PAUSE_US = 1_000_000
+PAUSE_US = 2_000_000
+"""Between two copies, so that observers restart: where one begins is not where the other ended."""
 TIME_BYTES = 8
 
 
@@ -37,7 +38,7 @@ class _Clock:
 
 
 class LongLog:
-    """A flight and its copies, each later than the one before by the flight's length and a second.
+    """A flight and its copies, each later than the one before by the flight's length and two seconds.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ class LongLog:
         stamps = self._stamps(self._data)
         self.duration_s = float(stamps[-1] - stamps[0]) / 1e6
         # whole milliseconds: all of the vehicle's clocks move by the same time
-        self._period_us = -(-int(stamps[-1] - stamps[0]) // 1_000) * 1_000 + _PAUSE_US
+        self._period_us = -(-int(stamps[-1] - stamps[0]) // 1_000) * 1_000 + PAUSE_US
         self._find_clocks()
 
     @property

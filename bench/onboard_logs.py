@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import multiprocessing
 import os
 import struct
 import subprocess
@@ -27,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from long_log import shaken
+from long_log import PAUSE_US, shaken
 from onboard_flights import ulog_of
 
 import fauio
@@ -39,8 +40,6 @@ FLIGHT = Path(__file__).parents[1] / "tests" / "data" / "copter_healthy_square.t
 QUAD = Path(fauio.__file__).parent / "replay" / "data" / "quad"
 _HEAD = struct.Struct("<HB")
 _FILE_HEAD_BYTES = 16
-_PAUSE_US = 2_000_000
-"""Between two flights, so that observers restart: where the second begins is not where the first ended."""
 
 
 def repeated(flight: bytes, size: int) -> Iterator[bytes]:
@@ -77,7 +76,7 @@ def repeated(flight: bytes, size: int) -> Iterator[bytes]:
     # stamps of other clocks and damaged ones are left as they are
     middle = np.median(times_us)
     good = np.abs(times_us.astype(np.float64) - middle) < 1e10
-    period_us = int(times_us[good].max() - times_us[good].min()) + _PAUSE_US
+    period_us = int(times_us[good].max() - times_us[good].min()) + PAUSE_US
     yield flight
     total, later = len(flight), 0
     while total < size:
@@ -87,6 +86,12 @@ def repeated(flight: bytes, size: int) -> Iterator[bytes]:
         copy[eight[good]] = (times_us[good] + np.uint64(later)).view(np.uint8).reshape(-1, 8)
         yield copy.tobytes()
         total += len(copy)
+
+
+def write(flight: Path, size: int, log: Path) -> None:
+    """Write a log of about so many bytes."""
+    with log.open("wb") as file:
+        file.writelines(repeated(b"".join(CompressedFile(flight)), size))
 
 
 def _floats(kind: np.dtype[Any], at: int) -> list[int]:
@@ -126,8 +131,10 @@ def main() -> None:
         flight = args.flight
         if flight is None:
             flight = ulog_of(read_recording(FLIGHT), Path(folder) / "flight.ulg", motors=True)
-        with log.open("wb") as file:
-            file.writelines(repeated(b"".join(CompressedFile(flight)), round(args.mb * 1e6)))
+        # in a process of its own: what this one holds would count as memory of those that it starts
+        writing = multiprocessing.Process(target=write, args=(flight, round(args.mb * 1e6), log))
+        writing.start()
+        writing.join()
         python, command = sys.executable, [sys.executable, "-m", "fauio"]
         commands = {
             "pyulog": [python, "-c", "import sys; from pyulog import ULog; ULog(sys.argv[1])", str(log)],
