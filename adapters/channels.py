@@ -28,6 +28,8 @@ straight line: a vehicle that stops and goes back in the opposite direction does
 MAX_VALUE = 1e12
 """Largest value of a measurement, in any unit: no vehicle measures more, and an observer that used a larger one would
 be blind for seconds."""
+_UNKNOWN_BEYOND = 655.34
+"""Largest speed, m/s, and course, degrees, of a GPS: GPS_RAW_INT gives 65535 hundredths for one that is unknown."""
 MAX_COMMAND = 2.0
 """Largest command of a motor, of full command 1: twice full command, which no range of pulses reaches."""
 STOPPED = -0.01
@@ -87,6 +89,8 @@ class Channel:
     @property
     def largest(self) -> float:
         """Return the size above which a value is not a measurement."""
+        if self.name in (SPEED, COURSE):
+            return _UNKNOWN_BEYOND
         return MAX_VALUE if self.stopped_as is None else MAX_COMMAND
 
     def value(self, fields: Mapping[str, Any]) -> float | None:

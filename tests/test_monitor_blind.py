@@ -105,11 +105,23 @@ def test_a_gps_that_goes_on_without_a_fix_is_lost(quad_profile: Profile, flight:
     ]
     profile = replace(quad_profile, observers=tuple(observers))
     assert blind_of(profile, flight) == []
-    lost = {id(message) for message in flight} - {id(m) for m in without(flight, ["GPS_RAW_INT"], 10.0, 20.0)}
-    unfixed = [replace(m, fields={**m.fields, "fix_type": 1}) if id(m) in lost else m for m in flight]
-    raised, cleared = blind_of(profile, unfixed)
+    raised, cleared = blind_of(profile, gps_says(flight, fix_type=1))
     assert "inertial: no GPS for 5 s" in raised.message
     assert cleared.state == "cleared"
+
+
+def test_a_gps_that_does_not_know_its_speed_is_lost_and_accused_of_nothing(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    unknown = gps_says(flight, vel=65_535)
+    events = [event for event in play(quad_profile, unknown).events if event.state == "raised"]
+    assert [event.message for event in events] == ["the vehicle flies and is not watched: inertial: no GPS for 5 s"]
+
+
+def gps_says(flight: list[Message], **fields: int) -> list[Message]:
+    """Return the flight with these values in what its GPS says from 10 to 20 s."""
+    kept = {id(m) for m in without(flight, ["GPS_RAW_INT"], 10.0, 20.0)}
+    return [m if id(m) in kept else replace(m, fields={**m.fields, **fields}) for m in flight]
 
 
 def test_motors_of_a_vehicle_on_its_wings_are_not_watched_and_its_sensors_are(
