@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +36,15 @@ _STEPS = 100
 circle, one to three steps. The rest is for systems at the edge of stability, for which the gap widens."""
 _WIDEN_AFTER = 20
 """Number of steps after which rounding decides: each further step widens the gap tenfold."""
+
+
+class StateSpace(NamedTuple):
+    """xi' = A xi + B r, e = C xi + D r."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,13 +23,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from adapters.errors import ModelError
 from gains.analysis.augment import slope_matrix, slope_vertices
-from gains.analysis.hinf import hinf_norm
+from gains.analysis.hinf import StateSpace, hinf_norm
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.continuous_observer import ContinuousObserver
 
@@ -41,15 +41,6 @@ _TOLERANCE = 1e-6
 1e5."""
 _CONSISTENCY = 1e-6
 """Relative tolerance of a bound: the solver's own."""
-
-
-class StateSpace(NamedTuple):
-    """xi' = A xi + B r, e = C xi + D r."""
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,12 +35,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
 from gains.analysis.augment import ErrorModel, augment, error_model, varying_slopes
-from gains.analysis.hinf import hinf_norm
+from gains.analysis.hinf import StateSpace, hinf_norm
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.design import Design, FaultState, ObserverMatrices, design_figures, observer_matrices
@@ -77,15 +77,6 @@ class Certificate:
     # bound of the H2 norm of the scaled discrete error system at all slopes, sqrt(trace(B_e^T P B_e + D_e^T D_e)); it
     # is proven if the certificate holds, because P - A_e^T P A_e - C_e^T C_e >= 0 then
     h2: float | None = None
-
-
-class ClosedErrorSystem(NamedTuple):
-    """The closed error system: A at each combination of slopes (k, na, na), then B, C and D, weights applied."""
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
 
 
 def certify(plant: Plant, design: Design) -> Certificate:
@@ -130,8 +121,10 @@ def certify(plant: Plant, design: Design) -> Certificate:
 
 def closed_error_system(
     model: ErrorModel, gains: ObserverMatrices, fault_state: FaultState = "integral", *, with_mean: bool = False
-) -> ClosedErrorSystem:
+) -> StateSpace:
     """Close the error system of a plant at its vertices, or at the mean slopes and after them the vertices.
+
+    A is that of each combination of slopes (k, na, na); C and D have the weights applied.
 
     With Kb = K + L1 E_f L_p the state [zeta~; z] ("integral") obeys
 
@@ -148,9 +141,7 @@ def closed_error_system(
     vertices = np.concatenate([model.mean[None], model.A]) if with_mean else model.A
     if fault_state == "integral":
         injection = model.injection(gains.K, gains.L_i, gains.L_p)
-        return ClosedErrorSystem(
-            vertices - injection @ model.C, model.B - injection @ model.D, *model.output(gains.L_p)
-        )
+        return StateSpace(vertices - injection @ model.C, model.B - injection @ model.D, *model.output(gains.L_p))
     nz, q = len(gains.K), (model.B.shape[1] - model.a1) // 2
     D_rate = np.roll(model.D, q, axis=1)
     A, B = np.empty_like(vertices), np.empty_like(model.B)
@@ -159,7 +150,7 @@ def closed_error_system(
     C_b = model.C[:, :nz]
     A[:, nz:] = -gains.L_i @ model.C - gains.L_p @ C_b @ A[:, :nz]
     B[nz:] = model.B[nz:] - gains.L_i @ model.D - gains.L_p @ (C_b @ B[:nz] + D_rate)
-    return ClosedErrorSystem(A, B, np.diag(model.weights), np.zeros_like(B))
+    return StateSpace(A, B, np.diag(model.weights), np.zeros_like(B))
 
 
 def design_report(
@@ -269,7 +260,7 @@ def _layout(
     )
 
 
-def _continuous_margin(system: ClosedErrorSystem, P: FloatArray, mu: float) -> float:
+def _continuous_margin(system: StateSpace, P: FloatArray, mu: float) -> float:
     """Return the smallest margin of P and of the negated inequalities of a continuous design."""
     na, nw = len(P), system.B.shape[1]
     margin = _scaled_margin(P, np.zeros_like(P), 0)

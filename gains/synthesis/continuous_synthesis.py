@@ -22,11 +22,11 @@ import numpy as np
 from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import ErrorModel, augment, error_model
 from gains.analysis.estimability import check_existence
-from gains.analysis.hinf import hinf_norm
+from gains.analysis.hinf import StateSpace, hinf_norm
 from gains.analysis.riccati import doubled
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bounded_real import Demands, inequality, solve_continuous, user_design
-from gains.synthesis.certificate import ClosedErrorSystem, certify, closed_error_system
+from gains.synthesis.certificate import certify, closed_error_system
 from gains.synthesis.conditioning import FLOOR, Coordinates
 from gains.synthesis.continuous_observer import check_continuous
 from gains.synthesis.design import Design
@@ -155,7 +155,7 @@ def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: Floa
     return doubled(np.eye(len(A)) + 2.0 * point * W.T, 2.0 * point * G_shifted @ W, 2.0 * point * W @ H_shifted)
 
 
-def proofs(system: ClosedErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, float, float]]:
+def proofs(system: StateSpace, S: FloatArray) -> Iterator[tuple[FloatArray, float, float]]:
     """Yield P, mu and seconds that prove a closed error system: the least mu, raised by increasing slack.
 
     With the gains fixed the bounded-real inequality is linear in P and mu. An optimum lies on its boundary, where
@@ -167,9 +167,7 @@ def proofs(system: ClosedErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArra
         return
     omega = float(np.exp(np.mean(np.log(np.abs(np.linalg.eigvals(system.A))))))
     inverse = np.linalg.inv(S)
-    own = ClosedErrorSystem(
-        inverse @ system.A @ S / omega, inverse @ system.B / omega, system.C @ S / norm, system.D / norm
-    )
+    own = StateSpace(inverse @ system.A @ S / omega, inverse @ system.B / omega, system.C @ S / norm, system.D / norm)
     least, _, total = _proof(own)
     if least is None:
         return
@@ -182,7 +180,7 @@ def proofs(system: ClosedErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArra
             total = 0.0
 
 
-def _proof(system: ClosedErrorSystem, mu_fixed: float | None = None) -> tuple[float | None, FloatArray, float]:
+def _proof(system: StateSpace, mu_fixed: float | None = None) -> tuple[float | None, FloatArray, float]:
     """Minimise mu over P, or at a fixed mu find the P farthest inside; return mu, P and seconds."""
     import cvxpy as cp
 
