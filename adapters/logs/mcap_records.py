@@ -85,13 +85,7 @@ class McapRecords:
         self.broken_off = self._chunked = False
 
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
-        """Return the records.
-
-        Raises
-        ------
-        TelemetryError
-            The file cannot be opened, contains no part of an MCAP file, or needs a compression that is not installed.
-        """
+        """Return the records, or raise what a :class:`adapters.logs.mcap_reader.MessageLogReader` raises."""
         window = self._window
         if self._peek(0, len(MCAP0_MAGIC)) == MCAP0_MAGIC:
             window.at += len(MCAP0_MAGIC)

@@ -67,11 +67,6 @@ def floor_sqrt_mu(
     Every value in this search is a floor, so leaving out frequencies or vertices (a sample of them is enough) makes the
     result smaller but never wrong. A continuous model is taken as it is or sampled at a rate. With integrators of order
     2 the rate of an actuator fault bounds f_a'' instead of f_a': s^2 f_a replaces s f_a.
-
-    Raises
-    ------
-    ModelError
-        The model cannot be sampled at that rate.
     """
     if rate_hz is not None:
         plant = discretise(plant, rate_hz)

@@ -27,11 +27,6 @@ def fitted_plant(fit: OutputErrorFit) -> Plant:
     Scales that the model file states are kept; missing ones, and those of undeclared noises and disturbances, are the
     most likely ones. Each is then enlarged by the uncertainty of the parameters. With a delay the plant is discrete at
     the rate of the recordings, with the delay in its taps.
-
-    Raises
-    ------
-    ModelError
-        The plant cannot be sampled at that rate.
     """
     plant, model = fit.signals, fit.model
     stated = fit.model.plant(fit.theta)

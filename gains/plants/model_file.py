@@ -137,13 +137,7 @@ def _stated(*arrays: FloatArray) -> list[Any]:
 
 
 def read_plant(file: TomlFile) -> Plant:
-    """Return the plant of a model's parsed TOML.
-
-    Raises
-    ------
-    ModelError
-        It is no valid model; the message names each key.
-    """
+    """Return the plant of a model's parsed TOML, as :func:`read_model` does of a file."""
     root = file.root
     states, inputs, outputs = root.texts("states"), root.texts("inputs"), root.texts("outputs")
     # nothing below can be read without names

@@ -53,13 +53,7 @@ class FilterModel:
 
 
 def filter_model(plant: Plant, rate_hz: float | None = None) -> FilterModel:
-    """Return the augmented model of a plant at a rate.
-
-    Raises
-    ------
-    ModelError
-        A continuous model without a rate, or a discrete one with another.
-    """
+    """Return the augmented model of a plant at a rate, which a continuous one needs."""
     rate_hz = plant.rate_hz if rate_hz is None else rate_hz
     if rate_hz is None:
         raise ModelError(f"{plant.name}: a continuous model needs a rate in samples per second")

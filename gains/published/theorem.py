@@ -126,14 +126,8 @@ def design_theorem(
     beta cancels: the inequality contains only beta L2 and P2 / beta. It determines L2, nothing else. epsilon and delta,
     of which Theorem 1 has only epsilon, apply to errors in units of the sizes that matter; all three are positive.
 
-    Raises
-    ------
-    ModelError
-        The model is discrete, has no faults or a hidden mode, does not fit the theorem, or a scalar is not positive.
-    InfeasibleError
-        An existence condition fails, too many slopes vary, or the inequality has no solution.
-    InaccurateError
-        The solver stopped short and nothing it found passes the certificate.
+    Raises as :func:`gains.synthesis.continuous_synthesis.design_continuous`, and a ModelError for a model that does not
+    fit the theorem and for a scalar that is not positive.
     """
     import cvxpy  # noqa: F401 - the first import takes seconds that do not belong to the design's time
 
