@@ -352,7 +352,9 @@ class OnboardLogReader(ABC):
                     yield records.batch()
                 self._check_single(window)
                 records.data = window.data
-            self._chain(window, records)
+            chain = window.data, window.at, self._chain_end(window), self.fields_at
+            window.at, count = follow(*chain, self._heads, self._known, records.start, records.kind)
+            self._records += count
             if window.fill(self.head_bytes) and not self._single(window, records):
                 break
         if records.start:
@@ -376,13 +378,6 @@ class OnboardLogReader(ABC):
         start = scan.found(type(self)(self._path, read_ahead_bytes=_SCANNED_BYTES, clock=scan), self._head_ns)
         fixes = type(self)(self._path, self.fixes, clock=LogClock(0, start))
         return LogClock(first_relation(fixes, self.fix_fields, self.relation) or 0, start)
-
-    def _chain(self, window: Window, records: Records) -> None:
-        """Add the consecutive records in the window's bytes."""
-        end, size = self._chain_end(window), self.fields_at
-        found = follow(window.data, window.at, end, size, self._heads, self._known, records.start, records.kind)
-        window.at = found[0]
-        self._records += found[1]
 
     def _chain_end(self, window: Window) -> int:
         """Return the end of the bytes held in which records may follow one another, as an index of them."""
