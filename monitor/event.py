@@ -97,15 +97,11 @@ def _is_count(value: object) -> bool:
     return type(value) is int and -_LARGEST <= value <= _LARGEST
 
 
-def _is_number(value: object) -> bool:
-    return value is None or type(value) is float or _is_count(value)
-
-
 _IS_SOUND: Mapping[type, Callable[[Any], bool]] = {
     str: lambda value: isinstance(value, str),
     bool: lambda value: type(value) is bool,
     int: _is_count,
-    float: _is_number,
+    float: lambda value: value is None or type(value) is float or _is_count(value),
 }
 
 

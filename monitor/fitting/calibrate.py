@@ -30,7 +30,7 @@ LEVEL_SHARE = 1.5
 """Time constant of the level of the residuals relative to that of the slow path's mean, so that a fault
 cannot raise the level before it is detected. At 100 Hz it is :data:`monitor.estimation.changes.LEVEL_S`."""
 
-_SMOOTHING_S = 0.05
+SMOOTHING_S = 0.05
 """Smoothing of estimates and residuals before hypotheses are compared, seconds. Chosen: five samples of a 100 Hz
 observer, a third of the time that evidence has to last (``raise_s``)."""
 _LONGEST_SETTLE_S = 60.0
@@ -59,7 +59,7 @@ def bank_rule(
     segments: Sequence[Segment],
     *,
     edges: Collection[str] = (),
-    smoothing_s: float = _SMOOTHING_S,
+    smoothing_s: float = SMOOTHING_S,
     settle_s: float = SETTLE_S,
     noise: NDArray[np.float64] | None = None,
     washouts: Mapping[str, float] | None = None,

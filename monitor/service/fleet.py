@@ -143,7 +143,7 @@ class Fleet:
             free.pipeline.system = system
             self._by_system[system] = free
             return [(free, self._taken(system))]
-        ready = {system: seen.slots for system, seen in self._strangers.items() if seen.is_vehicle}
+        ready = {system: seen.slots for system, seen in self._strangers.items() if seen.heartbeat and seen.sends}
         if not ready or 0 <= stranger.newest_ns - self._made_ns < _LEAST_APART_NS:
             return []
         self._made_ns = stranger.newest_ns
@@ -173,7 +173,7 @@ class _Stranger:
         # time, number of messages, number of telemetry messages
         self.kept: deque[tuple[int, Batch, int]] = deque()
         self._slots: deque[int] = deque()
-        self._heartbeat = False
+        self.heartbeat = False  # whether one of an autopilot came
         self.newest_ns = 0
 
     @property
@@ -191,11 +191,6 @@ class _Stranger:
         """Whether its telemetry has come for long enough."""
         return self.slots >= _LEAST_SLOTS or sum(count for _, _, count in self.kept) >= _LEAST_MESSAGES
 
-    @property
-    def is_vehicle(self) -> bool:
-        """Whether it is an autopilot whose telemetry has come for long enough."""
-        return self._heartbeat and self.sends
-
     def add(self, batch: Batch, pipeline: Pipeline | None) -> int:
         """Keep a batch; return how many messages were forgotten. A pipeline tells which telemetry it waits for."""
         telemetry = 0
@@ -203,7 +198,7 @@ class _Stranger:
             times = entry.received_ns if isinstance(entry, Columns) else np.array([entry.received_ns])
             self.newest_ns = int(times[-1])
             if isinstance(entry, Columns) and entry.component == AUTOPILOT and holds_autopilot_heartbeat(entry):
-                self._heartbeat = True
+                self.heartbeat = True
             elif self._counts(entry, pipeline):
                 telemetry += len(times)
                 new = sorted({int(slot) for slot in times // _SLOT_NS} - set(self._slots))

@@ -165,7 +165,9 @@ class VehicleMonitor:
             # History may arrive after live events; after a partition both monitors may have used the same seq.
             is_news = event.seq > known.seq or event.time_ns > known.time_ns
         if is_news:
-            self._peer_events[key] = _with_own_sentence(event, known)
+            # An operator's action has a sentence of its own; the alarm keeps its.
+            acted = known is not None and known.id == event.id and event.state in ("acknowledged", "shelved")
+            self._peer_events[key] = replace(event, message=known.message) if acted and known else event
         if self._journal is not None:
             self._journal.write(event)
 
@@ -423,10 +425,3 @@ class VehicleMonitor:
             self._shelved = shelved
             if self._journal is not None:
                 self._journal.shelve(self.name, shelved)
-
-
-def _with_own_sentence(event: AlarmEvent, known: AlarmEvent | None) -> AlarmEvent:
-    """Return an event with its alarm's sentence, if the event's own sentence tells an operator's action."""
-    if known is None or known.id != event.id or event.state not in ("acknowledged", "shelved"):
-        return event
-    return replace(event, message=known.message)

@@ -28,7 +28,7 @@ from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.display import size_text
 from monitor.estimation.isolation_rule import BankRule, IndependentRule
-from monitor.fitting.calibrate import SETTLE_S, bank_rule, measured_settling_s
+from monitor.fitting.calibrate import SETTLE_S, SMOOTHING_S, bank_rule, measured_settling_s
 from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines, parameter_lines
 from monitor.fitting.fitted import BatchSource, FitRequest, Fitted, bare_rule, unexplained_alarm
 from monitor.fitting.flights import flight_samples
@@ -45,8 +45,6 @@ from monitor.sampling.gate import GateRule, read_gate
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.transform import SampleSource
 
-_SMOOTHING_S = 0.05
-"""Time constant of the smoothing of estimates before they are evidence, seconds; as in a bank."""
 _LEAST_THRESHOLD = 1e-3
 """Smallest threshold, in units of the error that matters: a thousandth of that error is no fault."""
 _CRITICAL = 5.0
@@ -284,4 +282,4 @@ def _design(
         design = design_convex(plant, rate_hz, pole_radius=math.exp(-1.0 / (_FORGET_S * rate_hz)))
     except InfeasibleError:
         design = design_convex(plant, rate_hz)
-    return (compile_gains(plant, design, certify(plant, design)),), IndependentRule(_SMOOTHING_S)
+    return (compile_gains(plant, design, certify(plant, design)),), IndependentRule(SMOOTHING_S)

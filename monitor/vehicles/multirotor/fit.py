@@ -55,7 +55,7 @@ from monitor.sampling.gate import GateRule
 from monitor.sampling.slow_telemetry import COMMANDS_PER_TICK
 from monitor.sampling.supply import BATTERY_MESSAGE, SupplyRule
 from monitor.sampling.transform import LiftRule, SampleSource
-from monitor.vehicles.multirotor.flight_motors import motor_agreement
+from monitor.vehicles.multirotor.flight_motors import AXES, motor_agreement
 from monitor.vehicles.multirotor.frames import Frame, frame_of
 from monitor.vehicles.multirotor.identify import (
     GYROS,
@@ -173,7 +173,6 @@ _MOST_OF_JUMPS = 1.5
 """Largest ratio of the level to the largest healthy step: steps are too rare to fit a tail to them."""
 # A jump is seen in one sample, so it needs no debounce.
 _JUMP = Times(fast_s=0.0, raise_s=0.0, clear_s=0.5)
-_AXES = ("roll", "pitch", "yaw")
 _BEYOND, _BEYOND_SLOW = (1.5e-7, 1e-3), (3e-5, 1e-2)
 """Variance of a motor's relative loss per squared body rate, (rad/s)^2, and per squared change of a command, in flights
 that are livelier than the fitted ones. Measured: about the geometric means of fits of recorded flights, at 100 Hz
@@ -284,7 +283,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     calm = {}
     if slow:
         # They show in yaw alone.
-        opposite = opposite if len(plant.outputs) == len(_AXES) and CALM_LEVELS * level_s <= _CALM_S else []
+        opposite = opposite if len(plant.outputs) == len(AXES) and CALM_LEVELS * level_s <= _CALM_S else []
         calm = {frozenset(pair): np.array([0.0, 0.0, TURNED]) for pair in opposite}
     gains = compile_bank(plant, design_bank(plant, model.rate_hz, together=(*adjacent, *opposite)))
     rule = bank_rule(gains, segments, edges=GYROS, level_s=level_s, calm=calm)
@@ -395,7 +394,7 @@ def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
         every = max(1, round(rate_hz / SLOW_COMMANDS_HZ))
         frame, origin = choose_frame([Segment(s.u[::every], s.y[::every]) for s in segments], rate_hz / every), "motion"
     model, uncertainty, told = _identify(records, rate_hz, frame)
-    rates = np.concatenate([segment.y[:, : len(_AXES)] for segment in segments])
+    rates = np.concatenate([segment.y[:, : len(AXES)] for segment in segments])
     if not told[:2].all():
         return _slow(request, gate, drive, outputs)
     if (rates[:, :2].std(axis=0) < _LIVELY).any():
@@ -407,7 +406,7 @@ def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
         from_frame = f"; yaw axis {known_of}"
     comparison = compare_kept_back(records, rate_hz)
     motors = tuple(channel.name for channel in drive.inputs)
-    known = _percentages(_AXES, uncertainty.of_axes)
+    known = _percentages(AXES, uncertainty.of_axes)
     return _Identified(
         model=model,
         source=source,
@@ -417,7 +416,7 @@ def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
         gyros=True,
         times=Times(),
         smallest_loss=_SMALLEST_LOSS,
-        findings={**_findings(model, motors, uncertainty), "not_told": [*np.array(_AXES)[~told].tolist()]},
+        findings={**_findings(model, motors, uncertainty), "not_told": [*np.array(AXES)[~told].tolist()]},
         line=f"model {rate_hz:g} Hz, motors {1000 * uncertainty.times_s.sum():.0f} ms late; standard errors of "
         f"their effects: {known}{from_frame}",
         details=(
@@ -617,8 +616,8 @@ def _alarms(
 
 def _findings(model: MultirotorFit, motors: Sequence[str], uncertainty: MotorUncertainty) -> dict[str, object]:
     return {
-        "axis_relative_error": dict(zip(_AXES, uncertainty.of_axes.tolist(), strict=True)),
-        "damping_per_s": dict(zip(_AXES, (-np.log(model.a) * model.rate_hz).tolist(), strict=True)),
+        "axis_relative_error": dict(zip(AXES, uncertainty.of_axes.tolist(), strict=True)),
+        "damping_per_s": dict(zip(AXES, (-np.log(model.a) * model.rate_hz).tolist(), strict=True)),
         **dict(zip(("delay_s", "lag_s", "filter_s"), uncertainty.times_s.tolist(), strict=True)),
         "lag_taps": model.taps.tolist(),
         "thrust_square_share": model.square,

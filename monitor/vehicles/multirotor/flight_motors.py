@@ -32,7 +32,7 @@ wind), and by 1 to 4 %."""
 _PART_S = 25.0
 """Length of parts, seconds. Chosen: a fault that lasts twice as long fills one part; shorter parts have fewer than the
 six blocks that a covariance of three trims needs."""
-_AXES = ("roll", "pitch", "yaw")
+AXES = ("roll", "pitch", "yaw")
 
 
 def motor_agreement(
@@ -54,7 +54,7 @@ def motor_agreement(
     moments = 0.5 * np.abs(fit.B[:n] * hover).sum(axis=1)
     out, more = "is out of trim about {} by {{}} of its motors' moment", "commands {{}} {} thrust{}"
     end = " at its end than at its begin"
-    compared = [ComparedEffect(f"{axis}_trim", *2 * (out.format(axis),), _TRIM) for axis in _AXES[:n]]
+    compared = [ComparedEffect(f"{axis}_trim", *2 * (out.format(axis),), _TRIM) for axis in AXES[:n]]
     compared.append(ComparedEffect("thrust", more.format("less", ""), more.format("more", ""), _THRUST))
     compared.append(ComparedEffect("change", more.format("less", end), more.format("more", end), _CHANGE))
     causes = [
