@@ -89,6 +89,9 @@ class PlantResponse:
         self.command = self._channel if answered else None
         self._command: float | None = None
         self._restart(0)
+        # the time of the last question, and the answer
+        self._asked_ns: int | None = None
+        self._asked = np.zeros(len(self._C))
         self.first_ns: int | None = None
         self.last_ns: int | None = None
 
@@ -121,6 +124,9 @@ class PlantResponse:
 
     def at(self, stamp_ns: int) -> NDArray[np.float64]:
         """Return the deviation of the outputs (p,) at a time, interpolated between two samples."""
+        if stamp_ns == self._asked_ns:
+            # each output of a message asks for itself
+            return self._asked
         place = stamp_ns / self._step_ns
         tick = int(place // 1)
         if abs(tick - self._tick) > _MAX_STEPS:
@@ -128,7 +134,8 @@ class PlantResponse:
         while self._tick <= tick:
             self._advance()
         ahead = min(1.0, max(0.0, place - self._tick + 1.0))
-        return np.asarray(self._C @ (self._before + ahead * (self._after - self._before)))
+        self._asked_ns, self._asked = stamp_ns, self._C @ (self._before + ahead * (self._after - self._before))
+        return self._asked
 
     def _advance(self) -> None:
         """Advance by one sample."""
