@@ -71,6 +71,8 @@ def alarm_message(
 ) -> str:
     """Return the sentence about a fault of a signed size in ``unit``, or of a share of the command."""
     if state == "cleared":
+        if channel.startswith("motion_"):
+            return f"{channel}: GPS and accelerations agree again; a GPS that was led away may still be off"
         return f"{channel} is back to normal"
     if kind == "residual":
         return f"{observer}: no known fault explains what is measured ({size_text(size, 'times healthy')})"

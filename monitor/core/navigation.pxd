@@ -53,6 +53,14 @@ cdef struct Signature:
     double age_s
 
 
+cdef struct Coast:
+    # The filter's state minus that of navigation without the GPS since the coast began; the covariance of the latter;
+    # time since then, s (0: it has not begun).
+    double[STATES] led
+    double[STATES][STATES] P
+    double age_s
+
+
 cdef class Navigation:
     cdef double _dt, _level
     cdef int _every, _ticks, _count, _helpless
@@ -79,6 +87,7 @@ cdef class Navigation:
     cdef double[2] _drift
     cdef bint[2] _led
     cdef double[3] _stepped
+    cdef Coast[2] _coasts
     cdef int[3] _held
     # The magnetic field: fitted delay behind the gyros, its timing error, noise and random walk of its direction; its
     # direction from north; estimated declination and usual strength; how long it has been as before since a jump, and
@@ -131,6 +140,8 @@ cdef class Navigation:
     cdef double field_spread(self) noexcept
     cdef bint steps(self, int m, double off, double variance, double least) noexcept
     cdef void put_off(self, int m, double size) noexcept
+    cdef bint leads_back(self, int m, double size) noexcept
+    cdef void coast(self) noexcept
     cdef double fault(self, int which) noexcept
     cdef double spread(self, int which) noexcept
     cdef double pointing(self) noexcept
@@ -139,6 +150,8 @@ cdef class Navigation:
     cdef double led(self, int axis) noexcept
     cdef void begin(self, const double* R) noexcept
     cdef void propagate(self) noexcept
+    cdef void carry(self, double* x, int (*columns)[STATES], const int* used) noexcept
+    cdef void spread_by(self, double (*P)[STATES], int (*columns)[STATES], const int* used) noexcept
     cdef void turn_field(self, double* H) noexcept
     cdef void update(self, const double* innovation, const double* variance) noexcept
     cdef void judge(self) noexcept

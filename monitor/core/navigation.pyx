@@ -40,7 +40,12 @@ end is learned too, and leaves a tilt that looks like any of these faults. So th
 not reported; the navigation begins anew from the autopilot's attitude, where a true fault still shows.
 
 A ramp of the GPS's velocity is estimated too, after removing its effect on the filter, until a step leads back: then
-position and velocity of the receiver are right at once.
+position and velocity of the receiver are right at once. A slow ramp is not seen, and the filter follows it. So two
+coasts, the same navigation without the GPS, are remembered with their covariance, as differences e of the filter from
+them (e+ = F e + x, x the filter's corrections): a step of the GPS's velocity that leads to a coast ends such a ramp.
+
+Accelerometer z shows as the vehicle tilts. Its bias is a hypothesis without uncertainty before it is believed, so the
+filter is the same without it; vertical accelerations are judged elsewhere, and are given out with that bias.
 
 In hover a tilt and an accelerometer's bias look the same; the gyros tell them apart, as a tilt needs a rotation.
 """
@@ -152,6 +157,12 @@ cdef double _LATEST = 1.5
 # Longest time between two fixes that is taken for the receiver's pace, s: slower receivers are not used on vehicles.
 cdef double _SLOWEST_S = 1.0
 
+# Age from which a coast begins anew unless the GPS has led the filter away from it, s. Chosen: of two that begin half
+# of it apart, one began before a lead-away of 0.5 m/s^2 and shows 5 m/s of it at that age, twice its deviation.
+# Evidence of that from which it goes on, nats. Chosen: 1.4 deviations, which one healthy coast in six exceeds.
+cdef double _COAST_S = 20.0
+cdef double _COASTS_ON = 1.0
+
 cdef enum:
     # Indices of states and hypotheses: biases first, as in the state; then jumps of the velocity and of the field's
     # direction, and ramps of the velocity.
@@ -239,6 +250,7 @@ cdef class Navigation:
         memset(self._led, 0, sizeof(self._led))
         memset(self._stepped, 0, sizeof(self._stepped))
         memset(self._held, 0, sizeof(self._held))
+        memset(self._coasts, 0, sizeof(self._coasts))
         memset(self._missed, 0, sizeof(self._missed))
         memset(self._field, 0, sizeof(self._field))
         memset(self._tilting, 0, sizeof(self._tilting))
@@ -466,6 +478,11 @@ cdef class Navigation:
         if steps:
             # North and east belong to one receiver.
             for i in range(2):
+                if self._held[i] == _STEPS and self.leads_back(i, innovation[i]):
+                    self.restart()
+                    self.returned = True
+                    return
+            for i in range(2):
                 if self._held[i] == _STEPS:
                     self.put_off(i, innovation[i])
                 variance[i] = INFINITY
@@ -506,6 +523,7 @@ cdef class Navigation:
         self._whirl *= _PEAK_KEPT
         self.update(innovation, variance)
         self._count += 1
+        self.coast()
         self.judge()
         self._ticks = 0
 
@@ -558,48 +576,92 @@ cdef class Navigation:
             self._led[m] = False
         self._count = 0
 
+    cdef bint leads_back(self, int m, double size) noexcept:
+        """Return whether a step of the GPS's velocity is the end of a fault that was not seen as it grew.
+
+        The filter has followed that fault. A coast is nearer to the velocity after the step than to the one before.
+        """
+        cdef double led
+        cdef Coast* coast
+        cdef int k
+        for k in range(2):
+            coast = &self._coasts[k]
+            led = coast.led[_V + m]
+            if (
+                self._offset[m] == 0.0
+                and coast.age_s > 0.0
+                and led * led - (led + size) ** 2 > 2.0 * _ENDED * coast.P[_V + m][_V + m]
+            ):
+                return True
+        return False
+
+    cdef void coast(self) noexcept:
+        """Follow the coasts by a step; an old one begins anew unless the GPS has led the filter away from it."""
+        cdef Coast* coast
+        cdef bint led
+        cdef int k, m
+        for k in range(2):
+            coast, led = &self._coasts[k], False
+            for m in range(_V, _V + 2):
+                led |= coast.led[m] * coast.led[m] > 2.0 * _COASTS_ON * coast.P[m][m]
+            coast.age_s += self._step_s
+            if coast.age_s > _COAST_S and not led or coast.age_s == self._step_s:
+                memset(coast.led, 0, sizeof(coast.led))
+                memcpy(coast.P, self._P, sizeof(self._P))
+                coast.age_s = self._step_s + 0.5 * _COAST_S * (k == 0 and self._coasts[1].age_s == 0.0)
+
     cdef double led(self, int axis) noexcept:
         """Return the error of the GPS's velocity, north or east, by a ramp, which shows no jump."""
         return self._offset[axis] if self._begun and self._led[axis] else 0.0
 
     cdef void propagate(self) noexcept:
         """Predict covariance and signatures from the fix before to this one."""
-        cdef double[STATES][STATES] half
-        cdef double[STATES] moved
         # Most entries of F are zero: the columns of the others of each row, and their number.
         cdef int[STATES][STATES] columns
         cdef int[STATES] used
-        cdef double total
-        cdef Signature* signature
-        cdef int i, j, k, h, m, n = self.onsets()
+        cdef int i, k, h, n = self.onsets()
         for i in range(STATES):
             used[i] = filled(self._F[i], columns[i])
+        self.spread_by(self._P, columns, used)
+        for k in range(2):
+            self.spread_by(self._coasts[k].P, columns, used)
+            self.carry(self._coasts[k].led, columns, used)
+        for k in range(n):
+            self._signatures[k].age_s += self._step_s
+            for h in range(HYPOTHESES):
+                self.carry(self._signatures[k].state[h], columns, used)
+        memset(self._F, 0, sizeof(self._F))
+        memset(self._Q, 0, sizeof(self._Q))
+        for i in range(STATES):
+            self._F[i][i] = 1.0
+
+    cdef void carry(self, double* x, int (*columns)[STATES], const int* used) noexcept:
+        """Predict an error of the state, x <- F x, by the columns of the entries of F that are not zero."""
+        cdef double[STATES] moved
+        cdef int i, m
+        for i in range(STATES):
+            moved[i] = 0.0
+            for m in range(used[i]):
+                moved[i] += self._F[i][columns[i][m]] * x[columns[i][m]]
+        memcpy(x, moved, sizeof(moved))
+
+    cdef void spread_by(self, double (*P)[STATES], int (*columns)[STATES], const int* used) noexcept:
+        """Predict a covariance, P <- F P F' + Q, likewise."""
+        cdef double[STATES][STATES] half
+        cdef double total
+        cdef int i, j, k, m
         for i in range(STATES):
             memset(half[i], 0, sizeof(half[i]))
             for m in range(used[i]):
                 k = columns[i][m]
                 for j in range(STATES):
-                    half[i][j] += self._F[i][k] * self._P[k][j]
+                    half[i][j] += self._F[i][k] * P[k][j]
         for i in range(STATES):
             for j in range(i + 1):
                 total = self._Q[i][j]
                 for m in range(used[j]):
                     total += half[i][columns[j][m]] * self._F[j][columns[j][m]]
-                self._P[i][j] = self._P[j][i] = total
-        for k in range(n):
-            signature = &self._signatures[k]
-            signature.age_s += self._step_s
-            for h in range(HYPOTHESES):
-                for i in range(STATES):
-                    total = 0.0
-                    for m in range(used[i]):
-                        total += self._F[i][columns[i][m]] * signature.state[h][columns[i][m]]
-                    moved[i] = total
-                memcpy(&signature.state[h][0], moved, sizeof(moved))
-        memset(self._F, 0, sizeof(self._F))
-        memset(self._Q, 0, sizeof(self._Q))
-        for i in range(STATES):
-            self._F[i][i] = 1.0
+                P[i][j] = P[j][i] = total
 
     cdef int onsets(self) noexcept:
         """Return the number of onsets."""
@@ -679,6 +741,9 @@ cdef class Navigation:
         _turned(E, turn, R)
         _product(R, self._R, E)
         memcpy(self._R, E, sizeof(self._R))
+        for i in range(STATES):
+            self._coasts[0].led[i] += x[i]
+            self._coasts[1].led[i] += x[i]
         for i in range(2):
             self._velocity[i] += x[_V + i]
         for i in range(BIASES):
@@ -806,6 +871,8 @@ cdef class Navigation:
         else:
             self.strayed, self._back_s = True, 0.0
         self.correct(x)
+        # What a believed fault has made of the filter is no error of the GPS.
+        memset(self._coasts, 0, sizeof(self._coasts))
         self._count = self._helpless = 0
 
     cdef void differ(self, const double* R, double* apart) noexcept:
