@@ -376,8 +376,10 @@ def test_residuals_that_stay_larger_than_those_that_were_fitted_are_the_new_meas
     assert run.level[-1] == pytest.approx(20.0, rel=0.01)
 
 
-def test_the_level_is_never_below_that_of_healthy_flight_and_learns_nothing_where_nothing_is_evidence() -> None:
-    assert (Choices(usual=2.0).run([[0.1, 0.2, 0.1]] * 1000).level == 1.0).all()
+def test_calm_lowers_the_level_but_no_score_and_nothing_is_learnt_where_nothing_is_evidence() -> None:
+    calm = Choices(usual=2.0).run([[0.1, 0.2, 0.1]] * 1000 + [[40.0, 44.0, 42.0]])
+    assert calm.level[-1] == pytest.approx(0.05, rel=0.1)
+    assert calm.unexplained[-1] == pytest.approx(np.sqrt(40.0))
     assert (Choices(usual=2.0).run([[8.0, 8.5, 9.0]] * 1000, armed=False).level == 1.0).all()
 
 

@@ -1,5 +1,7 @@
 """How far a model is trusted: sizes of alarms follow rates and changes of commands, for a while, and no further."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -116,6 +118,22 @@ def test_the_variance_of_known_truth_is_found() -> None:
     sd = np.sqrt(1e-4 + 3e-4 * causes[:, 0] ** 2 + 5e-2 * causes[:, 1] ** 2)
     found = excited_variance(rng.normal(size=(20_000, 4)) * sd[:, None], causes)
     assert found == pytest.approx([1e-4, 3e-4, 5e-2], rel=0.1)
+
+
+def test_the_variance_that_gusts_bring_is_told_from_that_of_calm_flight() -> None:
+    rng = np.random.default_rng(5)
+    causes, level = np.abs(rng.normal(size=(20_000, 2))) * [1.0, 0.1], np.repeat([0.1, 0.8, 3.0], [8_000, 8_000, 4_000])
+    excited = 1e-4 + 3e-4 * causes[:, 0] ** 2 + 5e-2 * causes[:, 1] ** 2
+    sd = np.sqrt(np.maximum(1.0, level) * excited + 1e-3 * level)
+    found = excited_variance(rng.normal(size=(20_000, 4)) * sd[:, None], causes, level)
+    assert found == pytest.approx([1e-4, 3e-4, 5e-2, 1e-3], rel=0.1)
+
+
+def test_calm_air_makes_sizes_smaller_only_by_what_gusts_bring() -> None:
+    gusty = replace(RULE, constant=2.0, residuals=4.0)
+    still = samples(np.zeros(10))
+    for level, square in ((0.0, 2.0), (0.25, 3.0), (1.0, 6.0), (2.0, 12.0)):
+        assert scale(still, gusty, level) == pytest.approx(np.sqrt(square))
 
 
 def test_the_rule_reads_back_as_it_was_written() -> None:

@@ -575,7 +575,7 @@ cdef class Weighing:
         cdef uint8_t[:, ::1] speaking = results[1]
         for k in range(count):
             for i in range(width):
-                of_fault[k, i] = max(1.0, sqrt(level[k]) * self.healthy[i])
+                of_fault[k, i] = max(1.0, sqrt(max(1.0, level[k])) * self.healthy[i])
             # What no fault explains has errors of all of them in it.
             outside = 1.0
             if excitation is not None:

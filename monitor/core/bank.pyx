@@ -217,14 +217,14 @@ cdef class Choice:
         for k in range(count):
             if restart[k]:
                 self.clear(resumed is not None and resumed[k])
-            level[k] = max(1.0, self.level)
+            level[k] = self.level
             if measured[k] or restart[k]:
                 self.follow_calm(y, k)
                 self.update(fault, residual, k, complete[k] and not self.coasted,
                             1.0 if beyond is None else beyond[k], corrected is not None and corrected[k])
                 # Data that no hypothesis explains are no weather: they must not raise the level and hide themselves.
                 if armed[k] and self.usual > 0.0 and self.unexplained == 0.0:
-                    brought = level[k] * self.least / self.usual
+                    brought = max(1.0, self.level) * self.least / self.usual
                     self.level += self.follow * (min(brought, LEVEL_CLIP) - self.level)
             self.coasted = not (measured[k] or restart[k])
             for i in range(states):

@@ -18,7 +18,7 @@ cdef class Excitation:
     outputs : ndarray
         Indices of the judged outputs.
     variance : ndarray
-        c_0, c_1, c_2, b_1, b_2, R and D (7,).
+        c_0, c_1, c_2, b_1, b_2, R, D and c_3 (8,).
     hold : int
         Rows over which the maximum is taken.
     inputs : int
@@ -76,8 +76,7 @@ cdef class Excitation:
                 rate = max(rate, self.rate[(self.row - i + self.hold) % self.hold])
                 moved = max(moved, self.moved[(self.row - i + self.hold) % self.hold])
             columns[k, 0], columns[k, 1] = rate, moved
-            # s^2 = max(1, lambda (c_0 + c_1 r^2 + c_2 d^2) + b_1 (r^2 - R^2)+ + b_2 (d^2 - D^2)+)
-            square = level[k] * (c[0] + c[1] * rate * rate + c[2] * moved * moved)
+            square = max(1.0, level[k]) * (c[0] + c[1] * rate * rate + c[2] * moved * moved) + c[7] * level[k]
             square += c[3] * max(0.0, rate * rate - c[5] * c[5]) + c[4] * max(0.0, moved * moved - c[6] * c[6])
             columns[k, 2] = sqrt(max(1.0, square))
             beyond = max(1.0, rate / c[5]) if c[5] > 0.0 else 1.0

@@ -334,7 +334,7 @@ cdef class SizeErrors:
             self.newest = (self.newest + 1) % length
             for i in range(faults):
                 size = sizes[k, i]
-                noise = sd[k, i] * sqrt(level[k])
+                noise = sd[k, i] * sqrt(at_least(level[k], 1.0))
                 then = (self.newest + length - self.rows[i]) % length
                 way = fabs(size - self.before[then, i] * full[k, i])
                 way = self.ahead[i] * at_least(way - 2.0 * self.apart[i] * noise, 0.0)

@@ -80,7 +80,7 @@ class EstimatorRun(NamedTuple):
     # smoothed estimate of each fault (N, a), in a bank under its smallest hypothesis, whichever is believed
     smoothed: NDArray[np.float64]
     unexplained: NDArray[np.float64]  # score sqrt(min J) if no hypothesis explains the data, otherwise zero (N,)
-    # the residuals' mean square relative to that of healthy flight (N,), 1 or more
+    # the residuals' mean square relative to that of healthy flight (N,); below 1 in calm
     level: NDArray[np.float64]
     # channel that may be responsible in place of each (N, a), -1 where what was measured tells the two apart
     rival: NDArray[np.intp]

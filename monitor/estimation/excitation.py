@@ -3,13 +3,14 @@
 A model that is a few per cent wrong makes errors of a few per cent of the vehicle's motion. In a calm hover that is
 nothing, in a flip it is more than any fault. The deviation of an actuator's estimate is therefore taken to be
 
-    s^2 = max(1, lambda (c_0 + c_1 r^2 + c_2 d^2) + b_1 (r^2 - R^2)+ + b_2 (d^2 - D^2)+)
+    s^2 = max(1, max(1, lambda) (c_0 + c_1 r^2 + c_2 d^2) + c_3 lambda + b_1 (r^2 - R^2)+ + b_2 (d^2 - D^2)+)
 
 times its threshold, with lambda the level of the run's own residuals (:mod:`monitor.estimation.bank`), r the largest
 output (body rate) and d the largest change of a command from one sample to the next, over the last ``HOLD_S``. The c
-are fitted to the estimates of healthy flight, in which r reached R and d reached D. Beyond R and D nothing is known of
-this vehicle, and b, measured on others, is added: sizes that raise an alarm grow by themselves if a flight is livelier
-than those that were fitted.
+are fitted to the estimates of healthy flight, in which r reached R and d reached D: c_3 is what gusts bring, which the
+residuals show, so that a calm flight has smaller thresholds than a gusty one of the same fit. Beyond R and D nothing is
+known of this vehicle, and b, measured on others, is added: sizes that raise an alarm grow by themselves if a flight is
+livelier than those that were fitted.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ class ExcitationRule:
     command_beyond: float
     output_fitted: float  # r and D, in the units of the outputs and the commands
     command_fitted: float
+    residuals: float = 0.0  # c_3, per level of the residuals
 
 
 _NUMBERS = tuple(key.name for key in fields(ExcitationRule) if key.name != "outputs")
@@ -61,7 +63,7 @@ def judged_outputs(table: Table, outputs: Sequence[str]) -> tuple[str, ...]:
 def read_excitation(table: Table, outputs: Sequence[str]) -> ExcitationRule:
     """Return the rule of an observer's table ``excitation``; mistakes are recorded in its file."""
     judged = judged_outputs(table, outputs)
-    numbers = {key: table.number(key, at_least=0.0) for key in _NUMBERS}
+    numbers = {key: table.number(key, 0.0 if key == "residuals" else None, at_least=0.0) for key in _NUMBERS}
     table.done()
     return ExcitationRule(judged, **numbers)
 

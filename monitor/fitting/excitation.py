@@ -55,40 +55,47 @@ def fit_excitation(
     """
     actuators = [place for place, channel in enumerate(observer.faults) if channel.kind != "sensor"]
     none = ExcitationRule(tuple(outputs), *(0.0,) * 7)
-    error, believed, excited = [], [], []
+    error, believed, excited, levels = [], [], [], []
     for run, stretches in healthy_runs(observer, gate, flights):
         samples = run.estimates.samples
         stage = ExcitationStage(none, observer.gains[0].outputs, samples.u.shape[1], observer.rate_hz)
         causes = stage.run(samples, run.found.level)
-        sizes = run.found.smoothed[:, actuators] / unit / np.sqrt(run.found.level)[:, None]
-        held = run.estimates.isolated[:, actuators] / unit / np.sqrt(run.found.level)[:, None]
-        error += [sizes[rows] for rows in stretches]
-        believed += [held[rows] for rows in stretches]
+        error += [run.found.smoothed[rows][:, actuators] / unit for rows in stretches]
+        believed += [run.estimates.isolated[rows][:, actuators] / unit for rows in stretches]
         excited += [causes[rows, :2] for rows in stretches]
-    c = excited_variance(np.concatenate(error), np.concatenate(excited))
+        levels += [run.found.level[rows] for rows in stretches]
+    c = excited_variance(np.concatenate(error), np.concatenate(excited), np.concatenate(levels))
     scaled = [
-        column / np.sqrt(np.column_stack([np.ones(len(causes)), causes**2]) @ c)
-        for sizes, causes in zip(believed, excited, strict=True)
+        column / np.sqrt(_regressors(causes, level) @ c)
+        for sizes, causes, level in zip(believed, excited, levels, strict=True)
         for column in sizes.T
     ]
     level = healthy_levels(scaled, observer.rate_hz, alarms_per_hour, times).plain.level
     largest = np.concatenate(excited).max(axis=0)
-    numbers = [*(level / smallest) ** 2 * np.array([*c, *beyond]), *largest]
+    numbers = [*(level / smallest) ** 2 * np.array([*c[:3], *beyond]), *largest, (level / smallest) ** 2 * c[3]]
     return ExcitationRule(tuple(outputs), *(float(f"{number:.4g}") for number in numbers))
 
 
-def excited_variance(error: NDArray[np.float64], excited: NDArray[np.float64]) -> NDArray[np.float64]:
+def excited_variance(
+    error: NDArray[np.float64], excited: NDArray[np.float64], level: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
     """Return c >= 0 of E e^2 = c_0 + c_1 r^2 + c_2 d^2 (3,), of errors (N, m) and r and d (N, 2).
 
-    By iterated weighted least squares; use it for any error that grows with what a vehicle does.
+    With a ``level`` of the residuals (N,) they are those of E e^2 = max(1, level) (c_0 + c_1 r^2 + c_2 d^2) + c_3 level
+    (4,). By iterated weighted least squares; use it for any error that grows with what a vehicle does.
     """
     from scipy.optimize import nnls
 
     square = (error**2).mean(axis=1)
-    causes = np.column_stack([np.ones(len(excited)), excited**2])
+    causes = _regressors(excited, level)
     weights = np.full(len(square), 1.0 / square.mean())
     for _ in range(_SWEEPS):
         c, _ = nnls(causes * weights[:, None], square * weights)
         weights = 1.0 / np.maximum(causes @ c, _LEAST_SHARE * square.mean())
     c[0] = max(c[0], _LEAST_SHARE**2 * square.mean())
     return np.asarray(c, np.float64)
+
+
+def _regressors(excited: NDArray[np.float64], level: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    columns = np.column_stack([np.ones(len(excited)), excited**2])
+    return columns if level is None else np.column_stack([columns * np.maximum(1.0, level)[:, None], level])
