@@ -9,13 +9,14 @@ is back.
 The scales are those of healthy flight (:mod:`monitor.fitting.spread`). A fault brings errors that healthy flight does
 not have, so the standard deviation of an alarm's size, and of the estimate of a channel that is held responsible, is
 
-    sqrt(lambda P + way^2),    way = max(0, |f(t) - f(t - h)| - 2 sd_h) / (e^(h / T) - 1),
+    sqrt(lambda P + way^2),    way = T / h max(0, |f(t) - f(t - h)| - 2 sd_h),
 
 with h = max(lag, MOVED T), f the size, lambda the level of this run's residuals (1 in healthy flight, larger in
-gusts), and way what is still missing of f, as its movement tells: an estimate that is behind its fault by a mean delay
-T approaches it as e^(-t / T), so after a step it misses e^(h / T) - 1 times less than it moved during the last h, and
-behind a ramp T times the slope. Noise, which the observer alone smooths, moves it by sd_h = sqrt(2 (1 - e^(-h /
-T_own)) lambda P). A size that is a share of a command is one here, too: a constant share does not move.
+gusts), and way what is still missing of f, as its movement tells. Behind a ramp an estimate with a mean delay T is T
+times the slope; after a step, which it approaches as e^(-t / T), it misses less, by the factor (h / T) / (e^(h / T) -
+1). Which of the two a fault is its size does not say. Noise, which the observer alone smooths, moves it by sd_h =
+sqrt(2 (1 - e^(-h / T_own)) lambda P). A size that is a share of a command is one here, too: a constant share does not
+move.
 
 Nothing grows with f itself: where a motor delivers less the model's errors are those of healthy flight at the smaller
 command, and faults of sensors add. On recorded losses of motors the truth was within two of these standard deviations
@@ -41,8 +42,8 @@ from monitor.estimation.observer import Observer
 
 LAG_S = 0.3
 """Time in which half of a step's error fades that is no lag of the observer, seconds. Chosen: smoothing (0.05 to 0.12
-s), motors' lag and the delay of fixes (0.1 to 0.2 s) together. On a GPS that walks by 0.7 m/s the estimate lags by 0.2
-to 0.3 s."""
+s), motors' lag and the delay of fixes (0.1 to 0.2 s) together. Behind a GPS that walks by 0.7 m/s the estimate is by
+0.4 to 0.5 s."""
 MOVED = 0.25
 """Time over which the movement of a size is taken, as a share of its delay. Chosen: a longer one tells movement from
 noise more surely; within a shorter one the fault is raised (a gyro's of 5 times its threshold after a fifth)."""
@@ -79,7 +80,7 @@ class Uncertainty:
         rows = np.maximum(1, np.rint(np.maximum(lag_s, MOVED * delay_s) * observer.rate_hz)).astype(np.intp)
         moved_s = rows / observer.rate_hz
         still = np.exp(-moved_s / np.maximum(own_s, 1e-3 * moved_s))
-        self.of_sizes = SizeErrors(rows, 1.0 / np.expm1(moved_s / delay_s), np.sqrt(2.0 * (1.0 - still))).run
+        self.of_sizes = SizeErrors(rows, delay_s / moved_s, np.sqrt(2.0 * (1.0 - still))).run
         if systems is None:
             return
         used = sorted(set(owned))
