@@ -135,7 +135,7 @@ cdef class Navigation:
     cdef void scatter(self, double second, double variance) noexcept
     cdef double shaken(self, int axis, int first) noexcept
     cdef void point(self, const double* field, const double* R) noexcept
-    cdef void meet(self, const double* velocity, double line_s) noexcept
+    cdef void meet(self, const double* velocity, double line_s, bint consistent) noexcept
     cdef bint believed(self) noexcept
     cdef double field_spread(self) noexcept
     cdef bint steps(self, int m, double off, double variance, double least) noexcept

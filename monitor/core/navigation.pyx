@@ -450,9 +450,9 @@ cdef class Navigation:
                 + self._R[3 * i + 2] * m[(_BG + 2) * apart]
             )
 
-    cdef void meet(self, const double* velocity, double line_s) noexcept:
+    cdef void meet(self, const double* velocity, double line_s, bint consistent) noexcept:
         """Compare with a fix, on a line of ``line_s`` over lost ones, and with the field's direction; correct and
-        judge."""
+        judge. ``consistent``: position and velocity of the GPS agreed until just now, as of one that is led away."""
         cdef double[3] innovation
         cdef double[3] variance
         cdef Signature* newest
@@ -478,7 +478,7 @@ cdef class Navigation:
         if steps:
             # North and east belong to one receiver.
             for i in range(2):
-                if self._held[i] == _STEPS and self.leads_back(i, innovation[i]):
+                if consistent and self._held[i] == _STEPS and self.leads_back(i, innovation[i]):
                     self.restart()
                     self.returned = True
                     return

@@ -32,6 +32,9 @@ cdef double _STUCK_METRES = 1.0
 # A change above rounding, of the slope of a straight line or of a fix, relative to the velocity or the fix: some
 # thousand times double precision.
 cdef double _BENT = 1e-12
+# Time for which a position may be further than that from its velocity's integral as both jump back, s: a jump of the
+# velocity is known after three comparisons, at most 1 s apart.
+cdef double _JUMPS_S = 4.0
 # Speed of a receiver at rest, m/s: the noise of its velocity, as the navigation assumes it at the start.
 cdef double _STANDS = 0.1
 # For how long gyro or attitude may be missing before all begins anew, seconds. Chosen: as long as a gap of the samples.
@@ -289,6 +292,8 @@ cdef class StrapdownCore:
     # velocity from the inputs, and the first of these four that is void.
     cdef double[2] _led
     cdef double[4] _apart_gps
+    # For how long these positions have been apart from the velocity, s.
+    cdef double _parted_s
     cdef int _void
     # Whether the rotation was set back in this period, a jump that no sensor made; whether the present y contains it.
     cdef bint _corrected, _moved
@@ -427,6 +432,7 @@ cdef class StrapdownCore:
         memset(self._led, 0, sizeof(self._led))
         memset(self._apart_gps, 0, sizeof(self._apart_gps))
         self._void = 4
+        self._parted_s = 0.0
         self._corrected = self._moved = False
 
     def run(self, samples):
@@ -456,7 +462,7 @@ cdef class StrapdownCore:
         cdef double change, before
         cdef double[_WIDEST] meant
         cdef bint[_GROUPS] lacks
-        cdef bint whole_sample
+        cdef bint whole_sample, parted
         cdef int i, group
         for row in range(index.shape[0]):
             most += index[row] % self._count == 0
@@ -555,6 +561,8 @@ cdef class StrapdownCore:
                             y[count, i] += self._led[i - 2]
                             self._led[i - 2] = self._navigation.led(i - 2)
                     self._void = 4
+                    parted = hypot(self._apart_gps[0], self._apart_gps[1]) > _STUCK_METRES
+                    self._parted_s = self._parted_s + self._count * self._dt if parted else 0.0
                 for i in range(self._outputs):
                     ahead[count, i] = self._y[i] + (self._led[i - 2] if self._speeds and 2 <= i < 4 else 0.0)
                 rows[count] = row
@@ -842,7 +850,7 @@ cdef class StrapdownCore:
         self._stood |= stands
         if not fix[5] and (news and self._stood or (news or stands) and self._navigation.due(fix[7])):
             self._stood = self._stood and not news
-            self._navigation.meet(fix + 3, fix[6])
+            self._navigation.meet(fix + 3, fix[6], self._parted_s < _JUMPS_S)
             # A position is compared with the GPS's own velocity, without accelerations.
             if self._navigation.returned:
                 self._void = 0
