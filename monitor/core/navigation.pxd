@@ -107,11 +107,12 @@ cdef class Navigation:
     cdef double _sharp, _speed_noise
     cdef double[2][2] _off
     cdef double[3] _missed
-    # Of gyros and accelerometers: biases; biases before a fault, and their variances; whether
-    # there is a fault.
+    # Of gyros and accelerometers: biases; biases before a fault, and their variances; by what share the variance of a
+    # fault's size is larger than that of its bias, as the onset is not known; whether there is a fault.
     cdef double[BIASES] _bias
     cdef double[BIASES] _before
     cdef double[BIASES] _doubt
+    cdef double[BIASES] _unsure
     cdef bint[BIASES] _faulty
     cdef double[STATES][STATES] _P
     cdef double[STATES][STATES] _F
@@ -155,6 +156,7 @@ cdef class Navigation:
     cdef void turn_field(self, double* H) noexcept
     cdef void update(self, const double* innovation, const double* variance) noexcept
     cdef void judge(self) noexcept
+    cdef double onset_spread(self, int which, int n, double size, double best) noexcept
     cdef void end(self, Signature* signature, int which) noexcept
     cdef void jump(self, Signature* signature, int which, double size, double spread) noexcept
     cdef void correct(self, const double* x) noexcept

@@ -50,7 +50,7 @@ filter is the same without it; vertical accelerations are judged elsewhere, and 
 In hover a tilt and an accelerometer's bias look the same; the gyros tell them apart, as a tilt needs a rotation.
 """
 
-from libc.math cimport INFINITY, atan2, cos, fabs, fmax, fmin, hypot, sin, sqrt
+from libc.math cimport INFINITY, atan2, cos, exp, fabs, fmax, fmin, hypot, sin, sqrt
 from libc.string cimport memcmp, memcpy, memmove, memset
 from monitor.core.lines cimport spread_between
 
@@ -757,7 +757,7 @@ cdef class Navigation:
         cdef double[HYPOTHESES] best
         cdef double[HYPOTHESES] end
         cdef int[HYPOTHESES] onset, ended
-        cdef double likelihood, others, size, least, level
+        cdef double likelihood, others, size, least, level, apart
         cdef Signature* signature
         cdef int h, k, which = 0, n = self.onsets()
         cdef bint turning = self._faulty[0] or self._faulty[1] or self._faulty[2]
@@ -820,7 +820,10 @@ cdef class Navigation:
                     self.restart()
                     self.renewed = True
                     return
+                apart = self.onset_spread(which, n, size, best[which]) if which < 5 else 0.0
                 self.jump(signature, which, size, 1.0 / signature.energy[which])
+                if which < 5:
+                    self._unsure[which] = apart / self._P[_BG + which][_BG + which]
                 return
         if self._helpless > _HELPLESS:
             self.restart()
@@ -831,6 +834,20 @@ cdef class Navigation:
             elif self._faulty[h] and size > _MOST[h >= 3]:
                 self.restart()
                 return
+
+    cdef double onset_spread(self, int which, int n, double size, double best) noexcept:
+        """Return the variance of a fault's size that its unknown onset brings, by the likelihoods of n onsets.
+
+        What it has turned or added to the speed until now is known, and divided by its age.
+        """
+        cdef double weights = 0.0, variance = 0.0, weight, other, matched, energy
+        cdef int k
+        for k in range(n):
+            matched, energy = self._signatures[k].matched[which], self._signatures[k].energy[which]
+            if energy > 0.0:
+                other, weight = matched / energy, exp(0.5 * matched * matched / (energy + _rarity(which)) - best)
+                weights, variance = weights + weight, variance + weight * (other - size) * (other - size)
+        return variance / weights
 
     cdef void end(self, Signature* signature, int which) noexcept:
         """Remove a fault from the state."""
@@ -898,7 +915,9 @@ cdef class Navigation:
         """Return the standard deviation of :meth:`fault`, from the bias now and before the fault."""
         if not self._begun:
             return 0.0
-        return sqrt(self._P[_BG + which][_BG + which] + (self._doubt[which] if self._faulty[which] else 0.0))
+        variance = self._P[_BG + which][_BG + which]
+        # The filter took one onset for true, and is as much too sure of all that it has made of it since.
+        return sqrt((1.0 + self._unsure[which]) * variance + self._doubt[which] if self._faulty[which] else variance)
 
     cdef double pointing(self) noexcept:
         """Return the standard deviation of the direction of a healthy field, by the tilt and heading from the gyros."""
