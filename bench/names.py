@@ -620,12 +620,13 @@ Each fault counts once, however long it lasts. Faults put in are exact and come 
 
 Healthy accelerometers x and y have no error, as their estimate is zero until one is held responsible. Known causes:
 
-- The size of a GPS step on PX4 wanders with the receiver since its onset; a walk's size is behind by more than its
-  movement tells.
+- The size of a GPS step on PX4 wanders with the receiver since its onset.
 - The navigation's sizes of accelerometers are as sure as real receivers (0.05 m/s) would make them; simulated ones are
   better.
-- A radio's motors differ more from flight to flight than within the one that was fitted, and a first size between two
-  of its samples is half of a jump.
+- A radio's motors differ more from flight to flight than within the one that was fitted. A first size between two of
+  its messages is a third or half of a jump.
+- A GPS that walks is behind by a second over a radio, whose noise hides its movement from the deviation.
+- Motors' deviations allow for the delay of fixes, too, which they do not have.
 
 ## Misses
 
