@@ -483,7 +483,8 @@ class ObserverChain:
         times_ns = samples.vehicle_time_ns
         last = np.maximum.accumulate(np.where(samples.measured | samples.restart, np.arange(len(samples)), -1))
         since_ns = times_ns - np.where(last < 0, self._measured_ns, times_ns[last])
-        self._measured_ns = times_ns[-1] - since_ns[-1]
+        if len(samples):
+            self._measured_ns = times_ns[-1] - since_ns[-1]
         return np.asarray(1e-9 * since_ns, np.float64)
 
     def _larger(self, given: Given) -> NDArray[np.float64] | None:
