@@ -268,6 +268,15 @@ def test_a_velocity_of_the_gps_that_is_led_away_is_no_fault_of_the_imu_and_right
     assert difference[(back + 100) // 4 :, 2:].max() < 0.3
 
 
+def test_a_velocity_that_left_its_position_behind_leads_no_position_back() -> None:
+    raw = noisy(60.0, 4)
+    since, back = (np.arange(len(raw)) - ONSET) / truth.SIGNAL_HZ, 5000
+    away = led(raw, np.where(np.arange(len(raw)) < back, 0.15 * np.clip(since, 0.0, None), 0.0))
+    difference = np.abs(gps_apart(away) - gps_apart(raw))[:, 0]
+    # the washout forgets within 30 s what the position has been off
+    assert difference[(back + 200) // 4] == pytest.approx(difference[back // 4], rel=0.15)
+
+
 @pytest.mark.parametrize(("size", "pulse"), [(0.05, 0.3), (0.1, -0.2)])
 def test_a_tilt_that_a_gyros_fault_leaves_is_no_gps_that_is_led_away(size: float, pulse: float) -> None:
     raw = noisy(75.0, 4)
