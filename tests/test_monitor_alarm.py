@@ -152,10 +152,11 @@ def test_a_size_that_moves_less_than_three_standard_deviations_is_no_update() ->
     assert [event.state for event in process(new_alarm(), evidence, times, sd=sd)] == ["raised", "updated"]
 
 
-def test_an_estimate_below_its_own_standard_deviation_raises_nothing() -> None:
+def test_an_edge_below_its_own_standard_deviation_raises_nothing() -> None:
     times, evidence = np.arange(600) * STEP_NS, np.full(600, -0.07)
-    assert process(new_alarm(), evidence, times, sd=np.full(600, 0.08)) == []
-    assert [event.state for event in process(new_alarm(), evidence, times, sd=np.full(600, 0.06))] == ["raised"]
+    edge = new_alarm(replace(RULE, raise_s=0.0, fast=math.inf, slow=math.inf))
+    assert process(edge, evidence, times, sd=np.full(600, 0.08)) == []
+    assert [event.state for event in process(edge, evidence, times, sd=np.full(600, 0.06))] == ["raised"]
 
 
 def test_an_alarm_says_which_channel_it_may_be_instead_until_the_two_are_told_apart() -> None:

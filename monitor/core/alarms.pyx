@@ -124,7 +124,7 @@ cdef class AlarmState:
     cdef readonly Py_ssize_t rival
     cdef double reported_sd, reported_command
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
-    cdef bint contiguous, fails_towards_less, explained
+    cdef bint contiguous, fails_towards_less, explained, is_edge
     cdef int64_t explained_ns, explained_last_ns
     # The weighted mean of the slow path, the same neither limited nor divided by the scale; the mean of all evidence of
     # the lasting path, the same not divided by the scale, and the time these two cover.
@@ -154,6 +154,7 @@ cdef class AlarmState:
         """Apply the sizes and times of an :class:`monitor.alarms.alarm.AlarmRule` from the next row on."""
         self.threshold, self.clear, self.critical_size = max(rule.threshold, rule.smallest), rule.clear, rule.critical
         self.raise_ns, self.clear_ns = rule.raise_s * NANOSECONDS, rule.clear_s * NANOSECONDS
+        self.is_edge = rule.raise_s == 0.0 and rule.fast == INFINITY
         self.fast, self.fast_ns = max(rule.fast, rule.smallest), rule.fast_s * NANOSECONDS
         self.slow, self.slow_ns = max(rule.slow, rule.smallest), rule.slow_s * NANOSECONDS
         self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
@@ -247,9 +248,9 @@ cdef class AlarmState:
         self.average(restart, evidence / scale, scale, elapsed)
         if self.active:
             return self.follow(now, evidence, scale, sd, command, rival, elapsed)
-        # An estimate below its own standard deviation shows nothing: a gyro of a motors' observer was 17 degrees/s
-        # off, give or take 770, where a simulator had stood still for a moment.
-        event = self.debounce(now, 0.0 if fabs(evidence) < sd else evidence, scale, elapsed)
+        # One sample may raise an edge, unless its standard deviation is larger than itself: a gyro of a motors'
+        # observer was 17 degrees/s off, give or take 770, where a simulator had stood still for a moment.
+        event = self.debounce(now, 0.0 if self.is_edge and fabs(evidence) < sd else evidence, scale, elapsed)
         if event == RAISED:
             self.reported_sd = sd
         if event == RAISED and not self.creeping and change.nats > 0.0 and change.onset_ns > self.ended_ns:
