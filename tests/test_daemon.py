@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
+import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -168,7 +169,11 @@ def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
     page = daemon.fetch("/metrics")
     assert 'fauio_observer_samples_total{observer="motors",vehicle="first"}' in page
     assert 'fauio_vehicle_active_alarms{severity="critical",vehicle="first"} 1.0' in page
-    assert json.loads(daemon.fetch("/healthz"))
+    with pytest.raises(urllib.error.HTTPError) as trouble:
+        daemon.fetch("/healthz")
+    assert json.loads(trouble.value.read())["problems"] == [
+        f"{name}: telemetry ended in flight: nothing is watched" for name in ("first", "vehicle-7")
+    ]
     daemon.process.send_signal(signal.SIGTERM)
     assert daemon.process.wait(PATIENCE_S) == 0
     journal = Journal(daemon.folder / "journal.db")
