@@ -40,6 +40,7 @@ def test_a_profile_that_is_fitted_to_the_same_is_not_set_aside(tmp_path: Path) -
     assert [one.read_text() for one in sorted(tmp_path.iterdir())] == ["a = 2\n", "a = 1\n"]
 
 
+@pytest.mark.long
 def test_where_nothing_tells_what_the_motors_do_the_sensors_are_watched(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
