@@ -27,9 +27,9 @@ def printable(text: str) -> str:
     """Return a text with a question mark for each control character, including line ends.
 
     Use it on every text from elsewhere (a file, a network, an operator) before it is shown: a terminal obeys control
-    characters.
+    characters. Tabs at its end are left out: PX4 marks texts by one that it sends as events, too.
     """
-    return "".join(c if c.isprintable() else "?" for c in text)
+    return "".join(c if c.isprintable() else "?" for c in text.rstrip("\t"))
 
 
 class FauioError(ValueError):

@@ -125,7 +125,7 @@ class FoxgloveRecords:
         return [self._line(LOG, event.time_ns, level, line, event.observer)]
 
     def _line(self, topic: Topic, time_ns: int, level: int, text: str, name: str) -> EncodedRecord:
-        content = {"level": level, "message": printable(text.rstrip("\t")), "name": name, "file": "", "line": 0}
+        content = {"level": level, "message": printable(text), "name": name, "file": "", "line": 0}
         return self._record(topic, time_ns, content)
 
     def _fix(self, topic: Topic, time_ns: int, latitude: float, longitude: float, altitude: float) -> EncodedRecord:

@@ -64,7 +64,7 @@ class VehicleFacts:
             return
         number = fields.get("id", 0)
         before = self._chunks[1] if number and number == self._chunks[0] and self._texts else ""
-        whole = (before + printable(text.rstrip("\t")))[:_MAX_TEXT]  # PX4 ends those that are events, too, with a tab
+        whole = (before + printable(text))[:_MAX_TEXT]
         self._chunks = (number, whole) if number and len(text) == _CHUNK else (0, "")
         if before:
             self._texts[-1] |= {"text": whole}
