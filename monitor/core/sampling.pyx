@@ -178,10 +178,10 @@ cdef nanoseconds _LOW = 500 * _MILLISECOND
 # A vehicle that has reported for so long that it flies is believed: without a load it hovers with less. Chosen: twice
 # the longest of the slow take-offs seen (4 s).
 cdef nanoseconds _LIFTED = 10 * _SECOND
-# What stands turns by no more than its gyros' noise: in eight touch-downs of PX4 rates were 0.3 to 0.7 degrees a second
-# while its controllers, which still held a position, ran the motors down within 1.5 to 2.5 s. In the air a vehicle
-# hardly keeps within a degree a second for 0.5 s while its thrust falls. Samples further apart than half of that are
-# means of rates, which hide what it turns.
+# The rates of a standing vehicle are its gyros' noise: in eight touch-downs of PX4 they were 0.3 to 0.7 degrees a
+# second while its controllers, which still held a position, ran the motors down within 1.5 to 2.5 s. In the air a
+# vehicle hardly keeps within a degree a second for 0.5 s while its thrust falls. Samples further apart than half of
+# that time are means of rates, which hide its turns.
 cdef double _STANDING = 0.0175
 cdef nanoseconds _STANDS = 500 * _MILLISECOND
 # Share of its mean below which the command falls, and the time constant of this mean: touch-downs fall by 15 to 30 % a
@@ -1713,8 +1713,8 @@ cdef class Settling:
 cdef class Lifting:
     """Follows by the mean command whether a vehicle that reports that it flies has lifted off, and not come down since.
 
-    What still stands has not lifted off, and a command that falls while it stands is a touch-down: what the ground
-    holds no motor turns.
+    A vehicle that stands has not lifted off, and one whose command falls while it stands has touched down: no motor
+    turns a vehicle that the ground holds.
 
     Parameters
     ----------

@@ -42,8 +42,8 @@ from monitor.estimation.observer import Observer
 
 LAG_S = 0.3
 """Time in which half of a step's error fades that is no lag of the observer, seconds. Chosen: smoothing (0.05 to 0.12
-s), motors' lag and the delay of fixes (0.1 to 0.2 s) together. Behind a GPS that walks by 0.7 m/s the estimate is by
-0.4 to 0.5 s."""
+s), motors' lag and the delay of fixes (0.1 to 0.2 s) together. The estimate of a GPS that walks by 0.7 m/s is
+0.4 to 0.5 s behind."""
 MOVED = 0.25
 """Time over which the movement of a size is taken, as a share of its delay. Chosen: a longer one tells movement from
 noise more surely; within a shorter one the fault is raised (a gyro's of 5 times its threshold after a fifth)."""

@@ -6,12 +6,11 @@ Rules, in order: a vehicle known to be disarmed is not watched; where the vehicl
 as soon as motors leave idle, so that one that is flown by hand may still stand on the ground and lean against it: from
 that report on a multirotor's samples count once its mean command has been that of hovering. Autopilots also report it
 for some seconds after touch-down: where the command stays below ``airborne_command``, the vehicle stands or falls, and
-its samples count again once it hovers. A vehicle that is low by its reports, or whose own log it is, has touched down
-before, when its command began to fall while it stood still, and lifts off when it moves. A vehicle of rotors and
-wings has to be carried by those that an observer watches. Each time the rules come to hold, ``settle_s`` of vehicle
-time passes before evidence counts. When the reported flight phase comes to allow evidence, the
-samples restart: the estimates made on the ground, before the first fix of the GPS or while the vehicle was carried
-about, are forgotten.
+its samples count again once it hovers. A vehicle that reports a low height, or whose own log is read, has touched down
+as soon as its command falls while it stands still, and lifts off when it moves. A vehicle of rotors and wings has to be
+carried by those that an observer watches. Each time the rules come to hold, ``settle_s`` of vehicle time passes before
+evidence counts. When the reported flight phase comes to allow evidence, the samples restart: the estimates made on the
+ground, before the first fix of the GPS or while the vehicle was carried about, are forgotten.
 """
 
 from __future__ import annotations
