@@ -23,7 +23,14 @@ from monitor.fitting.agreement import Agreement
 from monitor.fitting.capability import Capability, capability_text
 from monitor.fitting.fit_report import Comparison
 from monitor.fitting.survey import Survey
-from monitor.fitting.thresholds import Calibrated, Times, calibrated, healthy_levels, plain_only
+from monitor.fitting.thresholds import (
+    FALSE_ALARMS_PER_HOUR,
+    Calibrated,
+    Times,
+    calibrated,
+    healthy_levels,
+    plain_only,
+)
 from monitor.profile import UNEXPLAINED, ObserverProfile, ObserverSetup, fault_channels, observer_table
 
 BatchSource = Callable[[], Iterable[Batch]]
@@ -193,9 +200,10 @@ class Fitted(ObserverSetup):
             return []
         most = max(rates, key=lambda channel: rates[channel])
         return [
-            f"  false alarms expected in 100 hours: {number_text(sum(rates.values()), 2)} in all, "
-            f"{most} the most ({number_text(rates[most], 2)}); "
-            f"{self.flight_s / 60.0:.0f} minutes of flight exclude only more than {max(excluded):,.0f} of each (95 %)"
+            f"  false alarms in 100 hours: {100.0 * FALSE_ALARMS_PER_HOUR:.0f} granted (a median), "
+            f"{number_text(sum(rates.values()), 2)} expected (a mean), "
+            f"of {most} the most ({number_text(rates[most], 2)}); {self.flight_s / 60.0:.0f} minutes of flight "
+            f"exclude only more than {max(excluded):,.0f} of each (95 %)"
         ]
 
 
