@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar, get_args
+from types import UnionType
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from adapters.errors import ConfigError
 from adapters.mavlink.companion import COMPANION
@@ -21,51 +21,61 @@ DEFAULT_PREFIX = "fauio"
 
 AllowedCommand = Literal["ack", "shelve", "unshelve", "reset"]
 T = TypeVar("T")
-_Read = Callable[[Table, str], Any]
+_Read = Callable[..., Any]
+
+_BYTE: Mapping[str, Any] = {"at_least": 0, "at_most": 255}  # an id of MAVLink
+_COUNT: Mapping[str, Any] = {"at_least": 1}
 
 
 class Entry(NamedTuple):
-    """A key besides its type and default: the function that reads it, and its description on the reference page."""
+    """A key besides its default: its description and example on the reference page, and how it is read.
 
-    read: _Read
+    Its type (``kind``) decides that, within ``limits`` such as ``at_least`` and ``check``, unless it has a reader.
+    """
+
     description: str = ""
     example: Any = None
-    choices: tuple[str, ...] = ()
-    table: type | None = None
+    limits: Mapping[str, Any] = {}
+    read: _Read | None = None
+    kind: Any = None
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Texts of which the key is one; empty if it may be any."""
+        return get_args(self.kind) if get_origin(self.kind) is Literal else ()
+
+    @property
+    def table(self) -> type | None:
+        """Class of the table, or the tables, that the key names; None if it has a value."""
+        kind = get_args(self.kind)[0] if get_origin(self.kind) is tuple else self.kind
+        return kind if is_dataclass(kind) and isinstance(kind, type) else None
 
 
-def _key(default: Any, read: _Read, description: str, example: Any = None, *choices: str) -> Any:
+def _key(default: Any, description: str, example: Any = None, *, read: _Read | None = None, **limits: Any) -> Any:
     """Return a key's field; the default itself is the example if none is given."""
-    shown = default if example is None else example
-    return field(default=default, metadata={"entry": Entry(read, description, shown, choices)})
+    entry = Entry(description, default if example is None else example, limits, read)
+    if isinstance(default, dict):
+        return field(default_factory=dict, metadata={"entry": entry})
+    return field(default=default, metadata={"entry": entry})
 
 
-def _by_name(read: _Read, description: str, example: Any) -> Any:
-    return field(default_factory=dict, metadata={"entry": Entry(read, description, example)})
-
-
-def _one_of(default: str, choices: Sequence[str], example: str, description: str) -> Any:
-    return _key(default, lambda table, key: table.choice(key, choices), description, example, *choices)
-
-
-def _text(check: Callable[[str], None]) -> _Read:
-    return lambda table, key: table.text(key, check=check)
-
-
-def _texts(check: Callable[[str], None], *, single: bool = False) -> _Read:
-    return lambda table, key: table.texts(key, check, single=single)
-
-
-def _whole(at_least: float, at_most: float = math.inf) -> _Read:
-    return lambda table, key: table.integer(key, at_least=at_least, at_most=at_most)
-
-
-def _number(**bounds: float) -> _Read:
-    return lambda table, key: table.number(key, **bounds)
-
-
-def _truth(table: Table, key: str) -> bool:
-    return table.boolean(key)
+def _value(kind: Any, table: Table, key: str, limits: Mapping[str, Any]) -> Any:
+    """Read a key by its type; ``limits`` are arguments of the table's method for that type."""
+    shape, parts = get_origin(kind), get_args(kind)
+    if shape is UnionType:  # None is the default of a key that is left out
+        return _value(parts[0], table, key, limits)
+    if isinstance(kind, type) and is_dataclass(kind):
+        return read_keys(kind, table.table(key))
+    if shape is Literal:
+        return table.choice(key, parts)
+    if shape is tuple:
+        return table.texts(key, **limits) if parts[0] is str else table.choices(key, get_args(parts[0]))
+    if shape is Mapping:
+        return _by_name(parts[1], table.table(key), **limits)
+    if kind is Path:
+        return _path(table, key)
+    reads: dict[Any, _Read] = {bool: table.boolean, int: table.integer, float: table.number, str: table.text}
+    return reads[kind](key, **limits)
 
 
 def _path(table: Table, key: str) -> Path:
@@ -79,32 +89,22 @@ def _path(table: Table, key: str) -> Path:
     return Path(table.file.name).parent / table.text(key, check=check.path)
 
 
+def _by_name(kind: Any, table: Table, *, names: Callable[[str], None], **limits: Any) -> dict[str, Any]:
+    """Read a table whose keys the user chooses."""
+    values = {}
+    for name in table:
+        try:
+            names(name)
+        except ValueError as error:
+            table.mistake(name, str(error))
+        else:
+            values[name] = _value(kind, table, name, limits)
+    return values
+
+
 def _listen(table: Table, key: str) -> str | None:
     address = table.text(key, check=check.host_port_or_off)
     return None if address == "off" else address
-
-
-def _table_of(names: Callable[[str], None], read: _Read) -> _Read:
-    """Return the reader of a table whose keys the user chooses."""
-
-    def read_all(table: Table, key: str) -> dict[str, Any]:
-        values = {}
-        below = table.table(key)
-        for name in below:
-            try:
-                names(name)
-            except ValueError as error:
-                below.mistake(name, str(error))
-            else:
-                values[name] = read(below, name)
-        return values
-
-    return read_all
-
-
-_ID = _whole(0, 255)  # a byte of MAVLink
-_COUNT = _whole(1)  # one at least
-_POSITIVE = _number(above=0)
 
 
 @dataclass(frozen=True)
@@ -112,25 +112,25 @@ class Vehicle:
     """One vehicle: the telemetry that is its own, and the profile by which it is monitored."""
 
     name: str | None = _key(
-        None, _text(check.vehicle_name), "Name in topics; the profile's own where it is left out.", "copter-1"
+        None, "Name in topics; the profile's own where it is left out.", "copter-1", check=check.vehicle_name
     )
-    profile: Path | None = _key(None, _path, "Profile folder; the top level's `profile` where it is left out.", "quad/")
-    system: int = _key(0, _ID, "MAVLink system id, 1 to 255; 0 takes the first system that fits the profile.", 1)
-    component: int = _key(1, _ID, "MAVLink component id, 1 is the autopilot; 0 takes any.")
+    profile: Path | None = _key(None, "Profile folder; the top level's `profile` where it is left out.", "quad/")
+    system: int = _key(0, "MAVLink system id, 1 to 255; 0 takes the first system that fits the profile.", 1, **_BYTE)
+    component: int = _key(1, "MAVLink component id, 1 is the autopilot; 0 takes any.", **_BYTE)
     zenoh: str | None = _key(
-        None, _text(check.key_expression), "Key expression of telemetry of this vehicle alone.", "copter-1/telemetry/**"
+        None, "Key expression of telemetry of this vehicle alone.", "copter-1/telemetry/**", check=check.key_expression
     )
     out_of_service: tuple[str, ...] = _key(
-        (), _texts(check.channel), "Channels that raise nothing: a sensor known to be broken.", ["inertial/compass"]
+        (), "Channels that raise nothing: a sensor known to be broken.", ["inertial/compass"], check=check.channel
     )
     latched: tuple[str, ...] = _key(
         (),
-        _texts(check.channel),
         "Channels whose alarms stay active after their cause is gone, until `fauio alarms reset`.",
         ["inertial/gps_north"],
+        check=check.channel,
     )
     force: bool = _key(
-        False, _truth, "Whether to watch it also where it says that it is another vehicle than the profile's.", True
+        False, "Whether to watch it also where it says that it is another vehicle than the profile's.", True
     )
 
 
@@ -138,9 +138,9 @@ class Vehicle:
 class NewVehicles:
     """Vehicles that appear at run time: MAVLink systems that no `[[vehicle]]` names."""
 
-    profile: Path | None = _key(None, _path, "Profile folder of each; none are accepted where it is left out.", "quad/")
-    name: str = _key("vehicle-{system}", _text(check.vehicle_template), "Name in topics; `{system}` becomes the id.")
-    limit: int = _key(16, _COUNT, "Largest number of them.")
+    profile: Path | None = _key(None, "Profile folder of each; none are accepted where it is left out.", "quad/")
+    name: str = _key("vehicle-{system}", "Name in topics; `{system}` becomes the id.", check=check.vehicle_template)
+    limit: int = _key(16, "Largest number of them.", **_COUNT)
 
     def vehicle(self, system: int) -> Vehicle:
         """Return the vehicle with a MAVLink system id."""
@@ -151,13 +151,13 @@ class NewVehicles:
 class RecordingTable:
     """MCAP files one after the other; if there are too many, the oldest are deleted."""
 
-    folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "recordings/")
-    file_mb: float = _key(256, _POSITIVE, "Size at which the next file begins, megabytes.")
-    file_minutes: float = _key(60, _POSITIVE, "Time after which the next file begins, minutes.")
+    folder: Path | None = _key(None, "Folder they go to; none are written where it is left out.", "recordings/")
+    file_mb: float = _key(256, "Size at which the next file begins, megabytes.", above=0)
+    file_minutes: float = _key(60, "Time after which the next file begins, minutes.", above=0)
     budget_mb: float = _key(
         10_000,
-        _POSITIVE,
         "Size of the files of all vehicles together, shared evenly, megabytes; those of former vehicles go first.",
+        above=0,
     )
 
 
@@ -165,33 +165,30 @@ class RecordingTable:
 class BlackBoxTable:
     """An MCAP file for each alarm, with the telemetry before and after it."""
 
-    folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "clips/")
-    before_s: float = _key(30, _number(at_least=0, at_most=600), "Begin of a clip before the alarm, seconds.")
-    after_s: float = _key(30, _number(at_least=0, at_most=600), "End of a clip after the alarm, seconds.")
-    budget_mb: float = _key(1000, _POSITIVE, "Size of the clips of all vehicles together, as of recordings, megabytes.")
+    folder: Path | None = _key(None, "Folder they go to; none are written where it is left out.", "clips/")
+    before_s: float = _key(30, "Begin of a clip before the alarm, seconds.", at_least=0, at_most=600)
+    after_s: float = _key(30, "End of a clip after the alarm, seconds.", at_least=0, at_most=600)
+    budget_mb: float = _key(1000, "Size of the clips of all vehicles together, as of recordings, megabytes.", above=0)
 
 
 @dataclass(frozen=True)
 class JournalTable:
     """The journal of alarm events, which survives restarts."""
 
-    path: Path | None = _key(
-        None, _path, "SQLite file; events are kept in memory alone where it is left out.", "journal.db"
-    )
-    max_events: int = _key(100_000, _COUNT, "Events kept; the oldest that belong to no active alarm go.")
+    path: Path | None = _key(None, "SQLite file; events are kept in memory alone where it is left out.", "journal.db")
+    max_events: int = _key(100_000, "Events kept; the oldest that belong to no active alarm go.", **_COUNT)
 
 
 @dataclass(frozen=True)
 class Signing:
     """MAVLink 2 signing."""
 
-    key_file: Path | None = _key(None, _path, "File with the key, 32 bytes or 64 hexadecimal digits.", "signing.key")
+    key_file: Path | None = _key(None, "File with the key, 32 bytes or 64 hexadecimal digits.", "signing.key")
     require: bool | None = _key(
-        None, _truth, "Whether unsigned packets are refused; with a key they are unless this says otherwise.", False
+        None, "Whether unsigned packets are refused; with a key they are unless this says otherwise.", False
     )
     state_file: Path | None = _key(
         None,
-        _path,
         "File that keeps the newest time stamps of signatures across restarts; where it is left out, the journal's "
         "with `.signing` behind its name.",
         "signing.state",
@@ -202,15 +199,18 @@ class Signing:
 class Send:
     """Packets that the daemon may send to vehicles; none by default."""
 
-    allow: bool = _key(False, _truth, "Whether anything is sent to a vehicle.", True)
-    rates: Mapping[str, float] = _by_name(
-        _table_of(check.message_name, _number(above=0, at_most=1000)),
+    allow: bool = _key(False, "Whether anything is sent to a vehicle.", True)
+    rates: Mapping[str, float] = _key(
+        {},
         "Message rates to request (MAV_CMD_SET_MESSAGE_INTERVAL), hertz, by message name.",
         {"ATTITUDE": 100},
+        names=check.message_name,
+        above=0,
+        at_most=1000,
     )
-    target_component: int = _key(1, _ID, "Component that is asked for them, 1 is the autopilot.")
-    source_system: int = _key(255, _whole(1, 255), "MAVLink system id that the daemon sends as.")
-    source_component: int = _key(191, _whole(1, 255), "MAVLink component id that the daemon sends as.")
+    target_component: int = _key(1, "Component that is asked for them, 1 is the autopilot.", **_BYTE)
+    source_system: int = _key(255, "MAVLink system id that the daemon sends as.", at_least=1, at_most=255)
+    source_component: int = _key(191, "MAVLink component id that the daemon sends as.", at_least=1, at_most=255)
 
 
 @dataclass(frozen=True)
@@ -218,37 +218,34 @@ class Commands:
     """Commands that operators may give over Zenoh (`fauio alarms ack` and the like)."""
 
     allow: tuple[AllowedCommand, ...] = _key(
-        (),
-        lambda table, key: table.choices(key, get_args(AllowedCommand)),
-        "Commands that are answered; none by default.",
-        ["ack", "shelve", "unshelve", "reset"],
+        (), "Commands that are answered; none by default.", ["ack", "shelve", "unshelve", "reset"]
     )
-    max_shelve_minutes: float = _key(480, _POSITIVE, "Longest time an alarm can be shelved.")
-    default_shelve_minutes: float = _key(60, _POSITIVE, "Time if a request names none.")
+    max_shelve_minutes: float = _key(480, "Longest time an alarm can be shelved.", above=0)
+    default_shelve_minutes: float = _key(60, "Time if a request names none.", above=0)
 
 
 @dataclass(frozen=True)
 class Flood:
     """An alarm flood: more alarms than an operator can read; only the first ones are announced one by one."""
 
-    raised: int = _key(10, _COUNT, "Alarms of a vehicle that make a flood ...")
-    within_s: float = _key(60, _POSITIVE, "... where they are raised within this time, seconds.")
+    raised: int = _key(10, "Alarms of a vehicle that make a flood ...", **_COUNT)
+    within_s: float = _key(60, "... where they are raised within this time, seconds.", above=0)
 
 
 @dataclass(frozen=True)
 class Standby:
     """A second daemon that takes over if the first one fails."""
 
-    enabled: bool = _key(False, _truth, "Whether this daemon waits while another one is there.", True)
+    enabled: bool = _key(False, "Whether this daemon waits while another one is there.", True)
     takeover_s: float = _key(
         0.5,
-        _number(at_least=0, at_most=60),
         "How long the other one has to be gone, seconds: a connection that breaks is back in less. One "
         "that is stopped hands over at once.",
+        at_least=0,
+        at_most=60,
     )
     key_file: Path | None = _key(
         None,
-        _path,
         "File with the secret that both daemons share, 64 hexadecimal digits: only who has it has a say in which is "
         "active, and in what happened.",
         "standby.key",
@@ -259,7 +256,7 @@ class Standby:
 class Metrics:
     """Prometheus metrics and `/healthz`."""
 
-    listen: str | None = _key(None, _listen, 'HOST:PORT, or "off".', "127.0.0.1:9464")
+    listen: str | None = _key(None, 'HOST:PORT, or "off".', "127.0.0.1:9464", read=_listen)
 
 
 @dataclass(frozen=True)
@@ -268,28 +265,26 @@ class Notify:
 
     urls_file: Path | None = _key(
         None,
-        _path,
         "File with an [Apprise](https://appriseit.com/services/) URL a line, which hold secrets: chmod 600.",
         "notify.urls",
     )
     exec: tuple[str, ...] = _key(
         (),
-        _texts(check.argument),
         "Program and arguments, started without a shell; it gets a JSON object for each event, a line each, on its "
         "standard input.",
         ["/usr/local/bin/on-alarm", "--quiet"],
+        check=check.argument,
     )
     exec_timeout_s: float = _key(
-        10, _number(above=0, at_most=600), "Time after which the program is killed, with what it has started, seconds."
+        10, "Time after which the program is killed, with what it has started, seconds.", above=0, at_most=600
     )
     on: tuple[Occasion, ...] = _key(
         OCCASIONS,
-        lambda table, key: table.choices(key, OCCASIONS),
         "Occasions: an alarm is raised, is or becomes critical, cleared; a vehicle flies and is not watched.",
         ["critical", "cleared", "blind"],
     )
     per_minute: float = _key(
-        6, _number(above=0, at_most=600), "Largest rate of messages per URL; what comes faster makes one summary."
+        6, "Largest rate of messages per URL; what comes faster makes one summary.", above=0, at_most=600
     )
 
 
@@ -299,41 +294,35 @@ class GroundStation:
 
     url: str | None = _key(
         None,
-        _text(check.udp_target),
         "Where they go: a ground station or a MAVLink router; nothing is sent where it is left out.",
         "udpout:127.0.0.1:14551",
+        check=check.udp_target,
     )
     component: int = _key(
-        COMPANION, _whole(2, 255), "MAVLink component id that they are sent as, with the vehicle's system id."
+        COMPANION, "MAVLink component id that they are sent as, with the vehicle's system id.", at_least=2, at_most=255
     )
-    per_minute: float = _key(20, _number(above=0, at_most=600), "Largest rate of messages; more are summed up.")
+    per_minute: float = _key(20, "Largest rate of messages; more are summed up.", above=0, at_most=600)
 
 
 @dataclass(frozen=True)
 class Ros:
     """ROS 2 over Zenoh (rmw_zenoh): `/diagnostics`."""
 
-    diagnostics: bool = _key(
-        False, _truth, "Whether `diagnostic_msgs/DiagnosticArray` is published once a second.", True
-    )
-    domain: int = _key(0, _whole(0, 232), "ROS_DOMAIN_ID of those who read it.")
+    diagnostics: bool = _key(False, "Whether `diagnostic_msgs/DiagnosticArray` is published once a second.", True)
+    domain: int = _key(0, "ROS_DOMAIN_ID of those who read it.", at_least=0, at_most=232)
 
 
 @dataclass(frozen=True)
 class Rerun:
     """The live view."""
 
-    mode: Literal["off", "serve", "spawn"] = _one_of(
-        "off", ("off", "serve", "spawn"), "serve", "`serve`: viewers connect to the daemon; `spawn`: it starts one."
+    mode: Literal["off", "serve", "spawn"] = _key(
+        "off", "`serve`: viewers connect to the daemon; `spawn`: it starts one.", "serve"
     )
-    port: int = _key(9876, _whole(1, 65535), "Port of this machine that viewers connect to; Rerun's own default.")
-    memory_mb: int = _key(256, _COUNT, "Memory for what a viewer sees when it joins.")
-
-
-def _section(kind: type) -> Any:
-    """Return the field of a table ``[key]``, all of whose keys are optional."""
-    entry = Entry(lambda table, key: read_keys(kind, table.table(key)), table=kind)
-    return field(default=kind(), metadata={"entry": entry})
+    port: int = _key(
+        9876, "Port of this machine that viewers connect to; Rerun's own default.", at_least=1, at_most=65535
+    )
+    memory_mb: int = _key(256, "Memory for what a viewer sees when it joins.", **_COUNT)
 
 
 def _vehicles(table: Table, key: str) -> tuple[Vehicle, ...]:
@@ -348,90 +337,79 @@ class Config:
     """The configuration of `fauio run`. Every key is optional."""
 
     profile: Path | None = _key(
-        None, _path, "Profile folder of vehicles that name none; `fauio run PROFILE` sets it.", "quad/"
+        None, "Profile folder of vehicles that name none; `fauio run PROFILE` sets it.", "quad/"
     )
     mavlink: tuple[str, ...] = _key(
-        (), _texts(check.mavlink_url, single=True), "MAVLink link or links.", "udpin:127.0.0.1:14550"
+        (), "MAVLink link or links.", "udpin:127.0.0.1:14550", check=check.mavlink_url, single=True
     )
     zenoh: tuple[str, ...] = _key(
         (),
-        _texts(check.key_expression, single=True),
         "Key expression or expressions of telemetry over Zenoh.",
         "arm/telemetry",
+        check=check.key_expression,
+        single=True,
     )
-    vehicle: tuple[Vehicle, ...] = field(
-        default=(),
-        metadata={
-            "entry": Entry(
-                _vehicles,
-                "Tables `[[vehicle]]`, one each; or a text, the name of the only one.",
-                "copter-1",
-                table=Vehicle,
-            )
-        },
+    vehicle: tuple[Vehicle, ...] = _key(
+        (), "Tables `[[vehicle]]`, one each; or a text, the name of the only one.", "copter-1", read=_vehicles
     )
-    new_vehicles: NewVehicles = _section(NewVehicles)
+    new_vehicles: NewVehicles = NewVehicles()
     listen: tuple[str, ...] = _key(
-        (DEFAULT_ENDPOINT,), _texts(check.endpoint, single=True), "Zenoh endpoints to listen on.", [DEFAULT_ENDPOINT]
+        (DEFAULT_ENDPOINT,), "Zenoh endpoints to listen on.", [DEFAULT_ENDPOINT], check=check.endpoint, single=True
     )
     connect: tuple[str, ...] = _key(
-        (), _texts(check.endpoint, single=True), "Zenoh endpoints to connect to.", ["tcp/192.168.1.2:7447"]
+        (), "Zenoh endpoints to connect to.", ["tcp/192.168.1.2:7447"], check=check.endpoint, single=True
     )
-    allow_public: bool = _key(False, _truth, "Whether anything may listen where other machines reach it.", True)
+    allow_public: bool = _key(False, "Whether anything may listen where other machines reach it.", True)
     zenoh_config: Path | None = _key(
-        None, _path, "Zenoh's own configuration (JSON5): TLS, users, access control.", "zenoh.json5"
+        None, "Zenoh's own configuration (JSON5): TLS, users, access control.", "zenoh.json5"
     )
-    zenoh_mode: Literal["peer", "router", "client"] = _one_of(
-        "peer",
-        ("peer", "router", "client"),
+    zenoh_mode: Literal["peer", "router", "client"] = _key(
         "peer",
         "Zenoh mode of the daemon. `router` where it connects to a router or to other daemons: a router "
         "passes nothing between its peers.",
     )
-    zenoh_types: Mapping[str, str] = _by_name(
-        _table_of(check.key_expression, _text(check.message_type)),
+    zenoh_types: Mapping[str, str] = _key(
+        {},
         "Types of telemetry over Zenoh by key expression: JSON unless said otherwise.",
         {"rover/imu": "sensor_msgs/msg/Imu"},
+        names=check.key_expression,
+        check=check.message_type,
     )
-    definitions: Path | None = _key(
-        None, _path, "Folder of message definitions (`.msg`) of further types.", "px4_msgs/"
-    )
+    definitions: Path | None = _key(None, "Folder of message definitions (`.msg`) of further types.", "px4_msgs/")
     force: bool = _key(
         False,
-        _truth,
         "Whether to watch all vehicles, also those that say they are others than their profiles'; `--force` sets it.",
         True,
     )
-    prefix: str = _key(DEFAULT_PREFIX, _text(check.key_chunks), "What all topics begin with.", "fauio")
+    prefix: str = _key(DEFAULT_PREFIX, "What all topics begin with.", "fauio", check=check.key_chunks)
     estimate_rate_hz: float = _key(
-        10, _number(at_least=0), "Largest rate of published estimates per observer, hertz; 0 publishes none."
+        10, "Largest rate of published estimates per observer, hertz; 0 publishes none.", at_least=0
     )
-    record: Path | None = _key(
-        None, _path, "One MCAP file to record to, without end; see `[recording]`.", "flight.mcap"
-    )
-    inbox: int = _key(20_000, _COUNT, "Messages that wait at most; the oldest are dropped and counted.")
+    record: Path | None = _key(None, "One MCAP file to record to, without end; see `[recording]`.", "flight.mcap")
+    inbox: int = _key(20_000, "Messages that wait at most; the oldest are dropped and counted.", **_COUNT)
     batch_ms: float = _key(
         20,
-        _number(at_least=0, at_most=1000),
         "Telemetry that comes within this time is processed together, milliseconds: less work for each message, and "
         "alarms that come so much later at most. 0 processes at once whatever has arrived.",
+        at_least=0,
+        at_most=1000,
     )
-    log_format: Literal["auto", "json", "text"] = _one_of(
-        "auto", ("auto", "json", "text"), "auto", "Log lines on stderr; `auto`: text on a terminal, JSON otherwise."
+    log_format: Literal["auto", "json", "text"] = _key(
+        "auto", "Log lines on stderr; `auto`: text on a terminal, JSON otherwise."
     )
-    recording: RecordingTable = _section(RecordingTable)
-    black_box: BlackBoxTable = _section(BlackBoxTable)
-    journal: JournalTable = _section(JournalTable)
-    signing: Signing = _section(Signing)
-    send: Send = _section(Send)
-    commands: Commands = _section(Commands)
-    flood: Flood = _section(Flood)
-    standby: Standby = _section(Standby)
-    metrics: Metrics = _section(Metrics)
-    notify: Notify = _section(Notify)
-    ground_station: GroundStation = _section(GroundStation)
-    ros: Ros = _section(Ros)
-    rerun: Rerun = _section(Rerun)
+    recording: RecordingTable = RecordingTable()
+    black_box: BlackBoxTable = BlackBoxTable()
+    journal: JournalTable = JournalTable()
+    signing: Signing = Signing()
+    send: Send = Send()
+    commands: Commands = Commands()
+    flood: Flood = Flood()
+    standby: Standby = Standby()
+    metrics: Metrics = Metrics()
+    notify: Notify = Notify()
+    ground_station: GroundStation = GroundStation()
+    ros: Ros = Ros()
+    rerun: Rerun = Rerun()
 
     @property
     def vehicles(self) -> tuple[Vehicle, ...]:
@@ -445,11 +423,12 @@ class Config:
 
 
 def entries(kind: type) -> dict[str, tuple[Any, Entry]]:
-    """Return default and entry of each key of a table's class."""
-    return {
-        key.name: (key.default_factory() if callable(key.default_factory) else key.default, key.metadata["entry"])
-        for key in fields(kind)
-    }
+    """Return default and entry of each key of a table's class; a key without an entry is a table ``[key]``."""
+    kinds, found = get_type_hints(kind), {}
+    for key in fields(kind):
+        default = key.default_factory() if callable(key.default_factory) else key.default
+        found[key.name] = default, key.metadata.get("entry", Entry())._replace(kind=kinds[key.name])
+    return found
 
 
 def read_keys(kind: type[T], table: Table) -> T:
@@ -459,7 +438,7 @@ def read_keys(kind: type[T], table: Table) -> T:
     values = {}
     for key, (_, entry) in known.items():
         if table.has(key):
-            value = entry.read(table, key)
+            value = entry.read(table, key) if entry.read else _value(entry.kind, table, key, entry.limits)
             if entry.table is not None or table.good(key):
                 values[key] = value
     table.done(_homes())
