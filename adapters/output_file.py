@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from adapters.errors import UsageError
 
@@ -57,6 +60,39 @@ def _replace(target: Path, data: bytes) -> None:
         beside.replace(target)
     finally:
         beside.unlink(missing_ok=True)
+
+
+_ELEMENT = r"(?P<inside> +)(?:[^\[\]{}\n]|\{[^\[\]{}\n]*\})+\n"
+_INNERMOST = re.compile(rf"(?P<begin>[\[{{])\n(?P<elements>(?:{_ELEMENT})+)(?P<outside> *)(?P<end>[\]}}])")
+"""An array or object of JSON or TOML that has a line for each element, and no element of several lines."""
+_WIDTH = 120
+"""Longest line that is written. Chosen: as long as lines of code here."""
+
+
+def filled(text: str) -> str:
+    """Return JSON or TOML for people: innermost arrays and objects on one line, long arrays on as few as hold them."""
+
+    def fill(part: re.Match[str]) -> str:
+        elements = [element.strip() for element in part["elements"][:-1].split("\n")]
+        line = " ".join(elements)
+        if len(line) < _WIDTH:
+            return part["begin"] + line.removesuffix(",") + part["end"]
+        if part["begin"] == "{":
+            return part[0]
+        lines = [part["inside"] + elements[0]]
+        for element in elements[1:]:
+            if len(lines[-1]) + 1 + len(element) <= _WIDTH:
+                lines[-1] += f" {element}"
+            else:
+                lines.append(part["inside"] + element)
+        return "\n".join([part["begin"], *lines, part["outside"] + part["end"]])
+
+    return _INNERMOST.sub(fill, text)
+
+
+def json_text(content: Any) -> str:
+    """Return a JSON document for people."""
+    return filled(json.dumps(content, indent=1)) + "\n"
 
 
 @contextlib.contextmanager

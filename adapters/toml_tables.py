@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from adapters.errors import FauioError
+from adapters.output_file import filled
 
 if TYPE_CHECKING:
     import numpy as np
@@ -410,30 +411,11 @@ def is_number(value: object) -> bool:
         return False
 
 
-_INNERMOST = re.compile(r"\[\n((?:( +)[^\[\]\n]+,\n)+) *\]")
-"""An array that contains no array, one element per line, as tomli_w writes it."""
-_WIDTH = 120
-"""Longest line that is written. Chosen: as long as lines of code here."""
-
-
 def toml_text(content: Mapping[str, Any]) -> str:
-    """Return a document for people: arrays of numbers and of names on one line each, or on as few as hold them."""
+    """Return a document for people: see :func:`adapters.output_file.filled`."""
     import tomli_w
 
-    def filled(array: re.Match[str]) -> str:
-        entries, indent = [line.strip() for line in array[1].splitlines()], array[2]
-        text = " ".join(entries)
-        if len(text) + 1 <= _WIDTH:
-            return f"[{text.removesuffix(',')}]"
-        lines = [indent + entries[0]]
-        for entry in entries[1:]:
-            if len(lines[-1]) + 1 + len(entry) <= _WIDTH:
-                lines[-1] += f" {entry}"
-            else:
-                lines.append(indent + entry)
-        return "\n".join(["[", *lines, f"{indent[4:]}]"])
-
-    return _INNERMOST.sub(filled, tomli_w.dumps(content, multiline_strings=False))
+    return filled(tomli_w.dumps(content, multiline_strings=False))
 
 
 def toml_value(value: Any) -> str:

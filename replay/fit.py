@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -14,7 +13,7 @@ from typing import Any, NamedTuple
 
 from adapters.batch import Batch
 from adapters.errors import InfeasibleError, ModelError, OtherVehicleError, TelemetryError, UntoldError, UsageError
-from adapters.output_file import write_file
+from adapters.output_file import json_text, write_file
 from adapters.toml_tables import toml_text
 from monitor.fitting.fit_report import Comparison, draw_comparison
 from monitor.fitting.fitted import BatchSource, FitRequest, Fitted, kept_logs
@@ -378,7 +377,7 @@ def write_profile(folder: Path, name: str, report: FitReport, content: Mapping[s
     for fitted in report.observers:
         fitted.write(folder)
     set_aside = replace_kept(folder / PROFILE_FILE, toml_text(content))
-    write_file(folder / "fit.json", json.dumps(report.to_json(), indent=1) + "\n")
+    write_file(folder / "fit.json", json_text(report.to_json()))
     write_file(folder / "fit.txt", "\n".join([f"{name} ({report.vehicle})", *report.text(details=True)]) + "\n")
     for file, (observer, comparison) in drawings(report).items():
         draw_comparison(folder / file, comparison, f"{name}, {observer}: {comparison.about}")

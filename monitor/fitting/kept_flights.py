@@ -24,7 +24,7 @@ import numpy as np
 from adapters.batch import Batch, Columns, joined, of_names, one_message
 from adapters.errors import ProfileError
 from adapters.message import Message
-from adapters.output_file import write_file
+from adapters.output_file import json_text, write_file
 from adapters.source import SOURCES
 from adapters.toml_tables import toml_text
 from monitor.alarms.alarm import MEASURED
@@ -193,7 +193,7 @@ def write_kept(
     kept = {flight.file for flight in flights}
     listed = [flight.to_json() for flight in flights]
     write_file(place / FITTED, toml_text(content))
-    write_file(place / _LIST, json.dumps({"format": _FORMAT, "rate_hz": rate_hz, "flights": listed}, indent=1) + "\n")
+    write_file(place / _LIST, json_text({"format": _FORMAT, "rate_hz": rate_hz, "flights": listed}))
     for path in place.glob("*.npz"):
         if path.name not in kept:
             path.unlink()

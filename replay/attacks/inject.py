@@ -17,7 +17,7 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import read_mcap_metadata
 from adapters.logs.recordings import read_recording, recording_kind
 from adapters.message import SECOND_NS, Message
-from adapters.output_file import check_suffix, write_file
+from adapters.output_file import check_suffix, json_text, write_file
 from monitor.profile import read_profile
 from monitor.trace import Trace
 from replay.attacks.attack import Attack
@@ -88,7 +88,7 @@ def inject_recording(
         raise UsageError(
             f"{log}: --kind {attack.kind} altered nothing on {attack.channel}; give a larger --size or another time"
         )
-    write_file(truth_path(out), json.dumps(truth, indent=1) + "\n")
+    write_file(truth_path(out), json_text(truth))
     return truth
 
 

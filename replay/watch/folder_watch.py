@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import session_files
-from adapters.output_file import write_file
+from adapters.output_file import json_text, write_file
 from monitor.bus.alarm_text import utc
 from monitor.profile import read_profile
 from replay.reports.report_html import element, page, table
@@ -122,7 +122,7 @@ class FolderWatch:
 
     def _write(self) -> None:
         flights = sorted(self._flights.values(), key=lambda flight: (flight.begin, flight.log), reverse=True)
-        write_file(self._out / STATE_FILE, json.dumps([asdict(flight) for flight in flights], indent=1) + "\n")
+        write_file(self._out / STATE_FILE, json_text([asdict(flight) for flight in flights]))
         write_file(self._out / INDEX_FILE, index_page(str(self._folder), flights))
 
 
