@@ -83,22 +83,26 @@ class Uncertainty:
         self.of_sizes = SizeErrors(rows, delay_s / moved_s, np.sqrt(2.0 * (1.0 - still))).run
         if systems is None:
             return
-        used = sorted(set(owned))
-        size = max(len(systems[k].steady) for k in used)
-        A, Q, steady, start = (np.stack([_padded(systems[k][i], size) for k in used]) for i in range(4))
+        # Of each observer only the errors that are coupled with those of its faults: one axis knows nothing of others.
+        entries, parts = [], dict[tuple[int, ...], int]()
+        for name, k in zip(faults, owned, strict=True):
+            at = len(systems[k].steady) - len(hypotheses[k].faults) + hypotheses[k].faults.index(name)
+            part = np.flatnonzero(_coupled(systems[k].A)[at]).tolist()
+            entries.append((parts.setdefault((k, *part), len(parts)), part.index(at)))
+        size = max(map(len, parts)) - 1
+        A, Q = np.zeros((2, len(parts), 3, size, size))
+        steady, start = np.zeros((2, len(parts), size, size))
+        for (k, *part), at in parts.items():
+            for padded, matrix in zip((A, Q, steady, start), systems[k], strict=False):
+                padded[at, ..., : len(part), : len(part)] = matrix[..., part, :][..., part]
+        owner, entry = np.array(entries, np.intp).T
         self._covariance = ErrorCovariance(
             A,
             Q,
             steady,
             start,
-            owner=np.array([used.index(k) for k in owned], dtype=np.intp),
-            entry=np.array(
-                [
-                    size - len(hypotheses[k].faults) + hypotheses[k].faults.index(name)
-                    for name, k in zip(faults, owned, strict=True)
-                ],
-                dtype=np.intp,
-            ),
+            owner=owner,
+            entry=entry,
             scale=np.array([scale.get(name, 1.0) for name in faults]),
             tolerance=_BACK,
         )
@@ -114,6 +118,7 @@ class Uncertainty:
         return self._covariance.run(measured, restart)
 
 
-def _padded(matrix: NDArray[np.float64], size: int) -> NDArray[np.float64]:
-    more = size - matrix.shape[-1]
-    return np.pad(matrix, [(0, 0)] * (matrix.ndim - 2) + [(more, 0), (more, 0)])
+def _coupled(A: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which errors depend on which, or on the same as these, by any of the matrices (kinds, d, d)."""
+    moved = (A != 0.0).any(axis=0)
+    return np.linalg.matrix_power(moved | moved.T | np.eye(len(moved), dtype=np.bool_), len(moved))
