@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch
+from adapters.message import LATEST_NS
 from adapters.sample import Given, Samples
 from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
@@ -525,7 +526,11 @@ class ObserverChain:
                 speaking[:, alarm] &= ~np.isnan(effect.evidence)
         changes = None
         if self._changes is not None:
-            asked = nats_asked(self._states[: len(self._faults)], evidence, speaking, alarm_scale, beyond)
+            # A name may make a test of additions forget onsets: there it must not depend on how the stream is cut.
+            first_ns = int(samples.time_ns.min(initial=LATEST_NS))
+            suspects = () if self._changes.adds else self._alarms[: len(self._faults)]
+            lasting = [alarm.lasts(first_ns) for alarm in suspects]
+            asked = nats_asked(self._states[: len(self._faults)], evidence, speaking, alarm_scale, beyond, lasting)
             changes = self._changes.run(samples, estimates.armed, estimates.isolated, asked, given.ahead)
             for fault, output in self._changes.noisy.items():
                 if (alarm := self._alarm_of[fault]) >= 0:

@@ -75,6 +75,7 @@ def nats_asked(
     speaking: NDArray[np.bool_],
     scale: NDArray[np.float64],
     beyond: NDArray[np.float64] | None,
+    lasting: Sequence[bool],
 ) -> NDArray[np.float64]: ...
 
 class Weighing:

@@ -477,11 +477,12 @@ cdef class ChainRows:
 
 
 def nats_asked(alarms, const double[:, :] evidence, const uint8_t[:, :] speaking, const double[:, :] scale,
-               const double[:] beyond):
+               const double[:] beyond, lasting):
     """Return the fewest nats with which a sudden change can matter to any alarm, by row (n,).
 
     These are the fewest that raise an alarm, multiplied by the square of ``beyond``; 0 where the evidence itself may
-    raise one, for a sudden change then gives its size.
+    raise one, for a sudden change then gives its size. Infinity while an alarm is active for certain: a change belongs
+    to its fault then.
 
     Parameters
     ----------
@@ -489,8 +490,12 @@ def nats_asked(alarms, const double[:, :] evidence, const uint8_t[:, :] speaking
         Those of faults, in the order of the evidence's first columns.
     evidence, speaking, scale, beyond
         As :class:`Weighing` takes and returns them.
+    lasting : sequence of bool
+        Whether each alarm is active before the first row and can be ended by nothing but its own evidence; empty where
+        that makes no difference.
     """
     cdef tuple every = tuple(alarms)
+    cdef list active = list(lasting)
     cdef Py_ssize_t k, i
     cdef AlarmState alarm
     cdef double least = INFINITY
@@ -504,6 +509,12 @@ def nats_asked(alarms, const double[:, :] evidence, const uint8_t[:, :] speaking
             alarm = <AlarmState>every[i]
             if speaking[k, i] and fabs(evidence[k, i]) / scale[k, i] >= min(alarm.threshold, alarm.fast):
                 asked[k] = 0.0
+        for i in range(len(active)):
+            alarm = <AlarmState>every[i]
+            if speaking[k, i] and fabs(evidence[k, i]) < alarm.clear:
+                active[i] = False
+        if True in active:
+            asked[k] = INFINITY
     return result
 
 

@@ -123,7 +123,7 @@ class ChangeStage:
 
     ``inputs`` has the index of the input that each fault of the observer scales, None for a fault that scales none. The
     test names the former, or, if the rule lists them, faults that add to the outputs, which are then predicted if they
-    are no states: sensors that jump, actuators that are off by a part of their deflection.
+    are no states: sensors that jump, actuators that are off by a part of their deflection. ``adds`` tells which.
     """
 
     def __init__(self, plant: Plant, rate_hz: float, inputs: Mapping[str, int | None], rule: ChangeRule) -> None:
@@ -148,7 +148,7 @@ class ChangeStage:
             self._depth, self._test = _additions_test(plant, rate_hz, rule, named, judged, common)
         else:
             self._depth, self._test = 1, _actuators_test(plant, rule, len(named), judged, common)
-        self._rate_hz, self._adds, self._partly = rate_hz, bool(added), bool(rule.lasts_s)
+        self._rate_hz, self.adds, self._partly = rate_hz, bool(added), bool(rule.lasts_s)
         self._u, self._y = np.zeros((1, len(plant.inputs))), np.zeros((1, n))
         self._judged, self._usable = judged, np.zeros((1, len(judged)), np.bool_)
         self._all = np.ones(len(judged), np.bool_)
@@ -188,7 +188,7 @@ class ChangeStage:
         """Return u and y with those of the samples before beside them, as far as the prediction needs them."""
         inputs = samples.u.shape[1]
         usable = (samples.measured & samples.complete)[:, None] & self._all
-        if self._adds:
+        if self.adds:
             lost = samples.lost[:, inputs:]
             if self._partly:
                 # A sample that is incomplete only for its lost values is complete for the rest.
