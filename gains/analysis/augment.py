@@ -31,7 +31,9 @@ A noise that passes through F counts twice in [w; w+]. If F moves f_s^ alone, f_
 
     xi+ = (as above) xi + ( [L1 E, 0; L_q E, I] - [Kb; L_ib] [D - Cb F D, 0] ) [w; df_a],   zeta~ = xi_zeta - F D w
 
-because neither A_a nor the slopes depend on f_s.
+because neither A_a nor the slopes depend on f_s. In discrete time this x^ does not contain the output of its own
+sample, so that what is published is zeta^ + L_z yt, with the error zeta~ - L_z (Cb zeta~ + D w); what the observer goes
+on with, and the arguments of g, stay zeta^.
 
 Each w is divided by its scale, df_a (or r+ - r) by rate / rate_hz, and each error by the size that matters.
 """
@@ -104,6 +106,7 @@ class ErrorModel:
     into: FloatArray  # [L1; L_q] E_f (na, a1)
     weights: FloatArray  # one over the error that matters, for each entry of e (nz + a1,)
     a1: int  # number of actuator faults: the last entries of e, and their errors after zeta~ in [zeta~; z]
+    fixed: int  # number of entries of e, the first ones, without a direct gain: nz, or none with an L_z
     free: FreeRows  # effect of moving the left inverse
 
     @property
@@ -116,13 +119,13 @@ class ErrorModel:
         """Return [Kb; L_ib] (na, p)."""
         return np.vstack([K, L_i]) + self.into @ L_p
 
-    def output(self, L_p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return (C_e, D_e) of the weighted error e for the direct gain L_p (a1, p)."""
+    def output(self, L_e: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (C_e, D_e) of the weighted error e for direct gains [L_z; L_p] (nz + a1, p), or L_p alone (a1, p)."""
         (ne, nz), (na, nw) = (len(self.weights), len(self.weights) - self.a1), self.B.shape
-        C_e, D_e = np.eye(ne, na), np.zeros((ne, nw))
+        C_e, D_e, first = np.eye(ne, na), np.zeros((ne, nw)), ne - len(L_e)
         D_e[:nz] = self.direct
-        C_e[nz:] -= L_p @ self.C
-        D_e[nz:] -= L_p @ self.D
+        C_e[first:] -= L_e @ self.C
+        D_e[first:] -= L_e @ self.D
         return self.weights[:, None] * C_e, self.weights[:, None] * D_e
 
 
@@ -240,6 +243,7 @@ def error_model(
         into=L @ plant.E_f,
         weights=1.0 / plant.errors,
         a1=a1,
+        fixed=0 if augmentation.noise_once and plant.rate_hz is not None else nz,
         free=FreeRows(
             A=W1 @ sloped,
             mean=W1 @ mean,

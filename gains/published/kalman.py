@@ -130,7 +130,15 @@ def _compiled(plant: Plant, model: FilterModel, K: FloatArray) -> Gains:
     note = "f_s is assumed to be a random walk of its rate; no bound is claimed"
     return Gains(
         **common_fields(plant, matrices),
-        **recursion(discrete, z, moved, np.vstack([estimate, innovation]), start, estimate[nz:]),
+        **recursion(
+            discrete,
+            z,
+            moved,
+            np.vstack([estimate, innovation]),
+            start,
+            estimate[: len(discrete.states)],
+            estimate[nz:],
+        ),
         method="ekf",
         domain="discrete",
         rate_hz=rate_hz,

@@ -7,7 +7,8 @@ For the discrete error system of :mod:`gains.analysis.augment`, a full P and R =
     [ *   *                         mu I - D_x^T D_x  D_f^T  ]
     [ *   *                         *                 I      ]
 
-jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D. Moving the left inverse by Y
+jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D. (With an L_z all rows of e
+have a direct gain, so that L_e = [L_z; L_p] takes the place of L_p, and there is no C_x.) Moving the left inverse by Y
 adds Y times the free rows of :mod:`gains.analysis.augment` to A_a, B and Gs; with Yb = P Y the inequality stays linear,
 in (P, R, L_p, Yb, mu). It is that of the theory with the rows of e that hold no unknown, C_x = W_x [I 0] and D_x, taken
 out by a Schur complement, and with the columns of X = [B; D; D_x] replaced by as many as their rank, because only X X^T
@@ -81,7 +82,7 @@ class Inequality:
     a1: int  # number of actuator faults
     asked: Demands
     coordinates: Coordinates  # the coordinates of the solver
-    direct: FloatArray  # size of L_p in the user's units, for outputs in the solver's (a1,)
+    direct: FloatArray  # size of the rows of L_e in the user's units, for outputs in the solver's
     into: FloatArray  # [L1; L_q] E_f of the pseudo-inverse (na, a1), in the user's units
     # the free rows that Yb multiplies, of size one; no rows if the left inverse stays the pseudo-inverse
     free: FreeRows
@@ -91,10 +92,12 @@ class Inequality:
     B: FloatArray
     C: FloatArray
     D: FloatArray
-    # the rows of W S / sqrt(mu of the coordinates) for zeta~ and for z
+    # the rows of W S / sqrt(mu of the coordinates) for the errors without a direct gain, and for those with one
     C_x: FloatArray
     C_f0: FloatArray
-    D_x: FloatArray  # direct path from the reduced columns to the errors zeta~; zero unless noise counts once
+    # direct path from the reduced columns to those errors before the gain; zero unless noise counts once
+    D_x: FloatArray
+    D_f0: FloatArray
     # the slopes' Gs (na, k) and Hs (k, na), each column as long as its row; k = 0 without multipliers
     G: FloatArray
     H: FloatArray
@@ -109,7 +112,7 @@ class Solution:
     P: FloatArray
     R: FloatArray
     Yb: FloatArray
-    L_p: FloatArray
+    L_e: FloatArray
     mu: float
     noise_energy: float
     multipliers: FloatArray
@@ -122,7 +125,6 @@ def inequality(model: ErrorModel, coordinates: Coordinates, asked: Demands, omeg
     given.
     """
     S, Y = coordinates.S, coordinates.Y
-    nz = len(model.weights) - model.a1
     driven, pace = (with_floor(model, S, Y), 1.0) if omega is None else (model, omega)
     rows = driven.free
     seen = np.hstack([rows.mean @ S, rows.B]) / pace
@@ -131,11 +133,11 @@ def inequality(model: ErrorModel, coordinates: Coordinates, asked: Demands, omeg
     basis = (left[:, kept] / singular[kept]).T
     weights = model.weights[:, None] / np.sqrt(coordinates.mu)
     errors = weights * S[: len(model.weights)]
-    at_once = weights[:nz] * driven.direct
+    at_once = weights[: len(driven.direct)] * driven.direct
     enters = [np.linalg.solve(S, driven.B) / pace, np.linalg.solve(Y, driven.D), at_once, basis @ rows.B / pace]
     left, singular, _ = np.linalg.svd(np.vstack(enters), full_matrices=False)
     columns = (left * singular)[:, singular > np.finfo(np.float64).eps * singular[0]]
-    B, D, D_x, free_B = np.split(columns, np.cumsum([len(block) for block in enters])[:-1])
+    B, D, at_once, free_B = np.split(columns, np.cumsum([len(block) for block in enters])[:-1])
     used = slice(None) if asked.multipliers else slice(0)
     G = np.asarray(np.linalg.solve(S, model.G[:, used]), dtype=np.float64)
     H = model.H[used] @ S
@@ -146,7 +148,7 @@ def inequality(model: ErrorModel, coordinates: Coordinates, asked: Demands, omeg
         a1=model.a1,
         asked=asked,
         coordinates=coordinates,
-        direct=np.sqrt(coordinates.mu) / model.weights[nz:],
+        direct=np.sqrt(coordinates.mu) / model.weights[model.fixed :],
         into=model.into,
         free=FreeRows(
             A=basis @ (rows.mean[None] if asked.multipliers else rows.A) @ S / pace,
@@ -161,9 +163,10 @@ def inequality(model: ErrorModel, coordinates: Coordinates, asked: Demands, omeg
         B=B,
         C=np.asarray(np.linalg.solve(Y, model.C @ S), dtype=np.float64),
         D=D,
-        C_x=errors[:nz],
-        C_f0=errors[nz:],
-        D_x=D_x,
+        C_x=errors[: model.fixed],
+        C_f0=errors[model.fixed :],
+        D_x=at_once[: model.fixed],
+        D_f0=np.pad(at_once[model.fixed :], ((0, model.a1), (0, 0))),
         G=G * np.sqrt(balance),
         H=H / np.sqrt(balance)[:, None],
         balance=balance,
@@ -175,14 +178,14 @@ def inequality(model: ErrorModel, coordinates: Coordinates, asked: Demands, omeg
 class _Unknowns:
     """Unknowns of the inequality, and products with them that several of its blocks contain.
 
-    ``P`` is a constant if it is given; ``L_p``, ``C_f`` and ``D_f`` are None without actuator faults, the multipliers
+    ``P`` is a constant if it is given; ``L_e``, ``C_f`` and ``D_f`` are None without direct gains, the multipliers
     ``bound`` and ``decay`` without slopes that need them.
     """
 
     P: Any
     R: Any
     Yb: Any
-    L_p: Any
+    L_e: Any
     mu: Any
     bound: Any
     decay: Any
@@ -222,7 +225,7 @@ def solve_bounded_real(problem: Inequality, fixed: tuple[float, float] | None = 
         if fixed is not None:
             constraints.append(noise_energy <= fixed[1])
     if problem.asked.gain_bound < np.inf:
-        constraints += _bounded(problem, x.P, x.R, x.L_p)
+        constraints += _bounded(problem, x.P, x.R, x.L_e)
     if fixed is None:
         gain_energy, holds = _gain_energy(problem, x)
         constraints.append(holds)
@@ -261,7 +264,7 @@ def solve_continuous(problem: Inequality, low: float, high: float) -> tuple[Solu
         inside = -(PA + PA.T)
         across, bounded = -x.PB - problem.C_x.T @ problem.D_x, _bound(problem, x)
         rows = [[inside - problem.C_x.T @ problem.C_x, across], [across.T, bounded]]
-        constraints.append(bordered(rows, [] if x.L_p is None else [x.C_f, x.D_f]) >> 0)
+        constraints.append(bordered(rows, [] if x.L_e is None else [x.C_f, x.D_f]) >> 0)
         if low > 0.0:
             constraints.append(inside - 2.0 * low / problem.omega * x.P >> 0)
         if high < np.inf:
@@ -278,24 +281,24 @@ def _unknowns(problem: Inequality) -> _Unknowns:
     """Return the unknowns, P as a constant in the solver's coordinates if it is given."""
     import cvxpy as cp
 
-    (na, _), p, a1, k, free = problem.B.shape, len(problem.C), problem.a1, len(problem.H), len(problem.basis)
+    (na, _), p, ne, k, free = problem.B.shape, len(problem.C), len(problem.C_f0), len(problem.H), len(problem.basis)
     S = problem.coordinates.S
     given = None if problem.asked.P is None else S.T @ problem.asked.P @ S / problem.coordinates.mu
     P = cp.Variable((na, na), symmetric=True) if given is None else cp.Constant(given)
-    R, L_p = cp.Variable((na, p)), cp.Variable((a1, p)) if a1 else None
+    R, L_e = cp.Variable((na, p)), cp.Variable((ne, p)) if ne else None
     Yb = cp.Variable((na, free)) if free else None
     return _Unknowns(
         P=P,
         R=R,
         Yb=Yb,
-        L_p=L_p,
+        L_e=L_e,
         mu=cp.Variable(),
         bound=cp.Variable(k) if k else None,
         decay=cp.Variable(k) if k else None,
         PB=_with_free(P @ problem.B - R @ problem.D, Yb, problem.free.B),
         PG=_with_free(P @ problem.G, Yb, problem.free.G),
-        C_f=None if L_p is None else problem.C_f0 - L_p @ problem.C,
-        D_f=None if L_p is None else -L_p @ problem.D,
+        C_f=None if L_e is None else problem.C_f0 - L_e @ problem.C,
+        D_f=None if L_e is None else problem.D_f0 - L_e @ problem.D,
     )
 
 
@@ -311,15 +314,15 @@ def _moved(problem: Inequality, x: _Unknowns, vertex: int) -> Any:
 
 def _bounded_real(problem: Inequality, x: _Unknowns, PA: Any, slack: Any) -> Any:
     """Return the inequality of the module's docstring at one vertex, or at the mean with multipliers."""
-    (na, nw), a1, k = problem.B.shape, problem.a1, len(problem.H)
+    (na, nw), ne, k = problem.B.shape, len(problem.C_f0), len(problem.H)
     rows = [
         [x.P, PA, x.PB],
         [PA.T, x.P - problem.C_x.T @ problem.C_x, -problem.C_x.T @ problem.D_x],
         [x.PB.T, -problem.D_x.T @ problem.C_x, _bound(problem, x)],
     ]
     # The rows of e that hold an unknown: a Schur complement cannot eliminate them.
-    border = [] if x.L_p is None else [np.zeros((a1, na)), x.C_f, x.D_f, *([np.zeros((a1, k))] if k else [])]
-    return bordered(_sloped(rows, x.PG, problem.H, x.bound), border) >> slack * np.eye(2 * na + nw + k + a1)
+    border = [] if x.L_e is None else [np.zeros((ne, na)), x.C_f, x.D_f, *([np.zeros((ne, k))] if k else [])]
+    return bordered(_sloped(rows, x.PG, problem.H, x.bound), border) >> slack * np.eye(2 * na + nw + k + ne)
 
 
 def _bound(problem: Inequality, x: _Unknowns) -> Any:
@@ -341,12 +344,12 @@ def _noise_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
 
     na, nw = problem.B.shape
     W = cp.Variable((nw, nw), symmetric=True)
-    border = [] if x.L_p is None else [x.D_f, np.zeros((problem.a1, na))]
+    border = [] if x.L_e is None else [x.D_f, np.zeros((len(problem.C_f0), na))]
     return cp.trace(W), bordered([[W - problem.D_x.T @ problem.D_x, x.PB.T], [x.PB, x.P]], border) >> 0
 
 
 def _gain_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
-    """Return trace(Z) and the constraint Z >= R^T P^-1 R + L_p^T L_p: the innovations' energy in the error.
+    """Return trace(Z) and the constraint Z >= R^T P^-1 R + L_e^T L_e: the innovations' energy in the error.
 
     The energy that an output puts there through the move of the left inverse has a price, too, so that the left inverse
     is not moved without a benefit.
@@ -354,17 +357,17 @@ def _gain_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
     import cvxpy as cp
 
     if x.Yb is None:
-        return gain_energy(x.P, x.R, () if x.L_p is None else (x.L_p, np.zeros((x.L_p.shape[0], x.R.shape[0]))))
+        return gain_energy(x.P, x.R, () if x.L_e is None else (x.L_e, np.zeros((x.L_e.shape[0], x.R.shape[0]))))
     gains = cp.hstack([x.R, x.Yb @ problem.free.F])
-    if x.L_p is None:
+    if x.L_e is None:
         return gain_energy(x.P, gains)
-    a1, p = x.L_p.shape
-    return gain_energy(x.P, gains, (cp.hstack([x.L_p, np.zeros((a1, p))]), np.zeros((a1, x.R.shape[0]))))
+    ne, p = x.L_e.shape
+    return gain_energy(x.P, gains, (cp.hstack([x.L_e, np.zeros((ne, p))]), np.zeros((ne, x.R.shape[0]))))
 
 
 def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
     """Return the values of the unknowns, or None if the solver found none with P > 0."""
-    values = [y.value for y in (x.P, x.R, x.Yb, x.L_p, x.mu) if y is not None]
+    values = [y.value for y in (x.P, x.R, x.Yb, x.L_e, x.mu) if y is not None]
     if not all(value is not None and np.all(np.isfinite(value)) for value in values):
         return None
     if np.linalg.eigvalsh(x.P.value)[0] <= 0.0:
@@ -374,35 +377,37 @@ def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
         P=x.P.value,
         R=x.R.value,
         Yb=np.zeros((x.R.shape[0], 0)) if x.Yb is None else x.Yb.value,
-        L_p=np.zeros((0, x.R.shape[1])) if x.L_p is None else x.L_p.value,
+        L_e=np.zeros((0, x.R.shape[1])) if x.L_e is None else x.L_e.value,
         mu=float(x.mu.value),
         noise_energy=noise_energy,
         multipliers=np.array([none if y is None or y.value is None else y.value for y in (x.bound, x.decay)]),
     )
 
 
-def user_gains(problem: Inequality, injection: Any, L_p: Any, Y: FloatArray | None = None) -> tuple[Any, Any, Any]:
-    """Return K, L_i and L_p in the user's units for P^-1 R and L_p in the solver's: numbers, or expressions of them.
+def user_gains(problem: Inequality, injection: Any, L_e: Any, Y: FloatArray | None = None) -> tuple[Any, Any, Any]:
+    """Return K, L_i and L_e in the user's units for P^-1 R and L_e in the solver's: numbers, or expressions of them.
 
     ``Y`` moves the left inverse, by :attr:`Inequality.basis` (:func:`user_inverse`).
     """
     S, inverse = problem.coordinates.S, np.linalg.inv(problem.coordinates.Y)
-    direct = np.diag(problem.direct) @ L_p @ inverse
+    direct = np.diag(problem.direct) @ L_e @ inverse
     into = problem.into if Y is None else problem.into + Y @ problem.free.into
-    gains = problem.omega * S @ injection @ inverse - into @ direct
-    nz = len(problem.C_x)
+    nz = len(problem.C_x) + len(problem.C_f0) - problem.a1
+    gains = problem.omega * S @ injection @ inverse - into @ direct[nz - len(problem.C_x) :]
     return gains[:nz], gains[nz:], direct
 
 
 def user_design(problem: Inequality, solution: Solution, augmentation: Augmentation) -> ObserverMatrices:
     """Return the observer of a solution in the user's units; the left inverse is the augmentation's, moved."""
     Y = problem.coordinates.S @ np.linalg.solve(solution.P, solution.Yb)
-    gains = user_gains(problem, np.linalg.solve(solution.P, solution.R), solution.L_p, Y)
-    return observer_matrices(augmentation.moved(Y @ problem.basis), *gains)
+    K, L_i, L_e = user_gains(problem, np.linalg.solve(solution.P, solution.R), solution.L_e, Y)
+    direct = len(L_e) - problem.a1
+    L_z = L_e[:direct] if direct else None
+    return observer_matrices(augmentation.moved(Y @ problem.basis), K, L_i, L_e[direct:], L_z)
 
 
-def _bounded(problem: Inequality, P: Any, R: Any, L_p: Any) -> list[Any]:
-    """Return constraints that bound the gains: every entry for a given P, otherwise the sizes of Kb, L_i and L_p.
+def _bounded(problem: Inequality, P: Any, R: Any, L_e: Any) -> list[Any]:
+    """Return constraints that bound the gains: every entry for a given P, otherwise the sizes of Kb, L_i and L_e.
 
     With P >= kappa I and V >= [Kb; L_i]^T P [Kb; L_i] in the user's units, V_jj <= X^2 kappa bounds the columns of [Kb;
     L_i] by X: sufficient (K has L1 E_f L_p less) and linear in P, R, V and kappa. It is stricter than the bound of the
@@ -412,15 +417,15 @@ def _bounded(problem: Inequality, P: Any, R: Any, L_p: Any) -> list[Any]:
 
     p, bound, none = R.shape[1], problem.asked.gain_bound * (1.0 - _INSIDE), np.zeros((0, R.shape[1]))
     if problem.asked.P is not None:
-        entries = user_gains(problem, np.linalg.inv(P.value) @ R, none if L_p is None else L_p)
+        entries = user_gains(problem, np.linalg.inv(P.value) @ R, none if L_e is None else L_e)
         return [cp.abs(gain) <= bound for gain in entries if gain.shape[0]]
     S, inverse = problem.coordinates.S, np.linalg.inv(problem.coordinates.Y)
     size = np.linalg.norm(S, 2)
     V, kappa = cp.Variable((p, p), symmetric=True), cp.Variable()
     constraints = [cp.bmat([[V, R.T], [R, P]]) >> 0, P - kappa * (S.T @ S / size**2) >> 0]
     constraints += [column @ V @ column <= kappa for column in (inverse * (size / (problem.asked.looseness * bound))).T]
-    if L_p is not None:
-        constraints.append(cp.abs(np.diag(problem.direct / bound) @ L_p @ inverse) <= min(problem.asked.looseness, 1.0))
+    if L_e is not None:
+        constraints.append(cp.abs(np.diag(problem.direct / bound) @ L_e @ inverse) <= min(problem.asked.looseness, 1.0))
     return constraints
 
 

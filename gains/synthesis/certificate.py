@@ -107,7 +107,7 @@ def certify(plant: Plant, design: Design) -> Certificate:
         and (poles_max < 1.0 and poles_max <= design.pole_radius if discrete else poles_max < 0.0)
         and gains.gain_max_abs <= design.gain_bound
         and max(norm.upper for norm in norms) <= design.sqrt_mu * (1.0 + CONSISTENCY)
-        and _consistent(plant, gains, observer_matrices(augmentation, gains.K, gains.L_i, gains.L_p)),
+        and _consistent(plant, gains, observer_matrices(augmentation, gains.K, gains.L_i, gains.L_p, gains.L_z)),
         proof="multipliers" if free else "vertices",
         slopes=len(system.A),
         margin=margin,
@@ -129,7 +129,7 @@ def closed_error_system(
     With Kb = K + L1 E_f L_p the state [zeta~; z] ("integral") obeys
 
         [zeta~; z]+ = (A_a + vertex - [Kb; L_i] Ca) [zeta~; z] + (B - [Kb; L_i] D) [w; w+; df_a]
-        fa~ = z - L_p (Cb zeta~ + D w)
+        fa~ = z - L_p (Cb zeta~ + D w),   with an L_z likewise of zeta~
 
     and the paper's state [zeta~; fa~] ("error"), in continuous time, its (4.14), which differentiates yt:
 
@@ -141,7 +141,7 @@ def closed_error_system(
     vertices = np.concatenate([model.mean[None], model.A]) if with_mean else model.A
     if fault_state == "integral":
         injection = model.injection(gains.K, gains.L_i, gains.L_p)
-        return StateSpace(vertices - injection @ model.C, model.B - injection @ model.D, *model.output(gains.L_p))
+        return StateSpace(vertices - injection @ model.C, model.B - injection @ model.D, *model.output(gains.L_e))
     nz, q = len(gains.K), (model.B.shape[1] - model.a1) // 2
     D_rate = np.roll(model.D, q, axis=1)
     A, B = np.empty_like(vertices), np.empty_like(model.B)
@@ -223,14 +223,14 @@ def _inequality_margin(
     used = slice(0) if decaying else slice(None)
     P, (na, k), ne = design.P, (len(design.P), len(multipliers)), len(model.weights[used])
     B, D, G, H = model.B[:, used], model.D[:, used], model.G[:, :k], model.H[:k]
-    C_e, D_e = model.output(gains.L_p)
+    C_e, D_e = model.output(gains.L_e)
     C_e, D_e = C_e[used], np.hstack([D_e[used, used], np.zeros((ne, k))])
     radius = design.pole_radius if decaying else 1.0
     PA, PB = P @ (A - injection @ model.C), np.hstack([P @ (B - injection @ D), P @ G])
     inequality = _layout(P, radius**2 * P - (H.T * multipliers) @ H, PA, PB, C_e, D_e)
     inequality += np.diag(np.concatenate([np.zeros(2 * na), np.full(B.shape[1], design.mu), multipliers, np.ones(ne)]))
     gain, size = np.abs(injection), np.abs(P)
-    direct = model.weights[:, None] * np.vstack([np.zeros_like(gains.K), np.abs(gains.L_p)])
+    direct = model.weights[:, None] * np.pad(np.abs(gains.L_e), ((len(model.weights) - len(gains.L_e), 0), (0, 0)))
     own = model.weights[:, None] * np.eye(len(direct), na)
     at_once = model.weights[:, None] * np.pad(np.abs(model.direct), ((0, model.a1), (0, 0)))
     rounding = _layout(

@@ -8,7 +8,8 @@ reads
     q+    = q^ + L_q (A x^ + B vb + c + G g + E_f fa^) + L_i yt                       nu  = H x^ + H_v vb + h + H_f q^
 
 and every line is linear in z = [s; v; y; 1; g] and is computed as a product with rows that select parts of z.
-Integrators of order 2 have q = [q1; q2], fa^ = q1^ + L_p yt and q1+ = q1^ + T q2^ + ...
+What is published of zeta^ is zeta^ + L_z yt if there is an L_z. Integrators of order 2 have q = [q1; q2],
+fa^ = q1^ + L_p yt and q1+ = q1^ + T q2^ + ...
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
     yt = z.y - C_b @ zeta
     fa = q[:a1] + observer.L_p @ yt
     driven = z.drive(discrete) + discrete.E_f @ fa
+    published = zeta + observer.L_z @ yt if observer.L_z.size else zeta
     moved = [
         observer.N @ eta + observer.J @ z.y + observer.L1 @ driven,
         integrators(a1, design.integrator_order, rate_hz) @ q
@@ -63,7 +65,9 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
     start[:] = np.vstack([inverse.L1, inverse.L_q]) @ np.linalg.pinv(discrete.C)
     return Gains(
         **common_fields(plant, observer),
-        **recursion(discrete, z, np.vstack(moved), np.vstack([zeta, fa, yt]), start, q[:a1]),
+        **recursion(
+            discrete, z, np.vstack(moved), np.vstack([published, fa, yt]), start, zeta[: len(discrete.states)], q[:a1]
+        ),
         method=design.method,
         domain="discrete",
         rate_hz=rate_hz,
@@ -99,19 +103,24 @@ def selection(plant: Plant, own: int) -> Selection:
 
 
 def recursion(
-    plant: Plant, z: Selection, moved: FloatArray, outputs: FloatArray, start: FloatArray, q: FloatArray
+    plant: Plant,
+    z: Selection,
+    moved: FloatArray,
+    outputs: FloatArray,
+    start: FloatArray,
+    x: FloatArray,
+    q: FloatArray,
 ) -> dict[str, Any]:
     """Return the compiled matrices of a discrete plant's observer.
 
     ``moved`` and ``outputs`` multiply z and give the observer's own states one sample later and [x^; f_s^; fa^; yt];
-    ``start`` (own, p) its own states at a restart, from y; ``q`` the actuator faults in the arguments of the
-    nonlinearities.
+    ``start`` (own, p) its own states at a restart, from y; ``x`` and ``q`` the states and actuator faults in the
+    arguments of the nonlinearities.
     """
     s, delays = len(z.v), len(plant.taps) - 1
     initial = np.zeros((len(z.own) + len(z.past), s + start.shape[1] + 1))
     initial[: len(z.own), s:-1] = start
     initial[len(z.own) :, :s] = np.tile(np.eye(s), (delays, 1))
-    x = outputs[: len(plant.states)]
     nu = plant.H @ x + plant.H_known @ np.vstack([z.effect(plant), z.one]) + plant.H_f @ q
     return {
         "step_matrix": np.vstack([moved, np.vstack([z.v, z.past])[: len(z.past)], outputs]),

@@ -75,7 +75,7 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: flo
             previous, variance = variance, np.maximum(np.diag(Sigma), smallest)
             if np.allclose(variance, previous, rtol=0.2, atol=0.0):
                 break
-        # Kalman's gain (A Sigma C' + S) (C Sigma C' + R)^-1 for the next error, Sigma C' (...)^-1 for L_p of this one
+        # Kalman's gain (A Sigma C' + S) (C Sigma C' + R)^-1 for the next error, Sigma C' (...)^-1 for L_e of this one
         innovation = C @ Sigma @ C.T + R + np.diag(floor)
         gain = np.linalg.solve(innovation, (A @ Sigma @ C.T + S).T).T
         direct = np.asarray(np.linalg.solve(innovation, C @ Sigma).T, dtype=np.float64)
@@ -86,8 +86,7 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: flo
             f"{model.name}: its numbers are too far apart: check units, scales of disturbance and noise"
         ) from error
     floored = with_floor(model, S_factor, Y_factor)
-    nz = len(model.weights) - model.a1
-    C_e, D_e = floored.output(direct[nz : nz + model.a1])
+    C_e, D_e = floored.output(direct[model.fixed : len(model.weights)])
     norm = hinf_norm(A - gain @ C, floored.B - gain @ floored.D, C_e, D_e, discrete=True)
     if not np.isfinite(norm.lower):
         raise InfeasibleError(

@@ -115,8 +115,8 @@ def design_convex(
         gain of .01: sqrt(mu) = .144).
     noise_once : bool
         Bound the error against [w; df_a] instead of [w; w+; df_a], which counts noise twice: choose it to compare the
-        bound with errors caused by noise. F then moves the sensor faults' estimates alone and is not free. At low rates
-        the bound is larger with it (the disturbed arm: .146 at 100 Hz, .148 at 20, .218 at 10).
+        bound with errors caused by noise. F then moves the sensor faults' estimates alone and is not free; what is
+        published is zeta^ + L_z yt, because zeta^ does not contain the output of its own sample.
 
     Raises
     ------
@@ -254,12 +254,14 @@ def _by_riccati(search: _Search, asked: Demands) -> Design | None:
     """Return a certified filter for a linear plant on which the solver stopped short; None if it proves nothing."""
     plant, augmentation, model = search.plant, search.augmentation, search.model
     nz = len(augmentation.L1)
-    for injection, L_p, P, mu in _riccati_proofs(model, kalman_coordinates(model, asked.pole_radius)):
+    for injection, L_e, P, mu in _riccati_proofs(model, kalman_coordinates(model, asked.pole_radius)):
+        first = len(L_e) - model.a1
+        L_z, L_p = L_e[:first] if first else None, L_e[first:]
         gains = injection - model.into @ L_p
         design = Design(
             method="convex",
             rate_hz=plant.rate_hz,
-            gains=observer_matrices(augmentation, gains[:nz], gains[nz:], L_p),
+            gains=observer_matrices(augmentation, gains[:nz], gains[nz:], L_p, L_z),
             P=P,
             mu=mu,
             pole_radius=asked.pole_radius,
@@ -274,7 +276,7 @@ def _by_riccati(search: _Search, asked: Demands) -> Design | None:
 def _riccati_proofs(
     model: ErrorModel, coordinates: Coordinates
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, float]]:
-    """Yield [Kb; L_i], L_p, P and mu in users' units for a linear discrete error system, the least mu first.
+    """Yield [Kb; L_i], L_e, P and mu in users' units for a linear discrete error system, the least mu first.
 
     If numbers differ by many orders, the solver of matrix inequalities can stop short although gains exist. A Kalman
     filter exists whenever the plant is detectable, and in its coordinates its own error has size one. There the least
@@ -285,10 +287,10 @@ def _riccati_proofs(
     and eps > 0 puts it inside the inequality of the certificate, which decides. The bound holds for these gains; others
     may have a smaller one.
     """
-    S, a1 = coordinates.S, model.a1
+    S = coordinates.S
     inverse = np.linalg.inv(S)
-    injection, L_p = coordinates.gain, coordinates.direct[len(model.weights) - a1 : len(model.weights)]
-    C, D = model.output(L_p)
+    injection, L_e = coordinates.gain, coordinates.direct[model.fixed : len(model.weights)]
+    C, D = model.output(L_e)
     A, B, C = inverse @ (model.mean - injection @ model.C) @ S, inverse @ (model.B - injection @ model.D), C @ S
     norm = hinf_norm(A, B, C, D, discrete=True).upper
     if not 0.0 < norm < np.inf:
@@ -304,7 +306,7 @@ def _riccati_proofs(
         except np.linalg.LinAlgError:
             continue
         P = norm**2 * inverse.T @ P @ inverse
-        yield injection, L_p, 0.5 * (P + P.T), (norm * (1.0 + margin) * (1.0 + 1e-6)) ** 2
+        yield injection, L_e, 0.5 * (P + P.T), (norm * (1.0 + margin) * (1.0 + 1e-6)) ** 2
 
 
 def _solutions(problem: Inequality) -> Iterator[tuple[Solution, float]]:

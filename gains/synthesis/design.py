@@ -30,6 +30,7 @@ class ObserverMatrices:
     # (nq, n) and (nq, p); (0, 0) if innovations alone move q
     L_q: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     F_q: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    L_z: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (nz, p); (0, 0) if zeta^ is published as it is
 
     def inverse(self, augmentation: Augmentation) -> Augmentation:
         """Return the augmentation of the same plant with the left inverse of this observer."""
@@ -38,16 +39,24 @@ class ObserverMatrices:
         return replace(augmentation, L1=self.L1, F=self.F, L_q=L_q, F_q=F_q)
 
     @property
+    def L_e(self) -> FloatArray:
+        """Direct gains [L_z; L_p] of the errors that have one (nz + a1, p), or L_p alone (a1, p)."""
+        return np.vstack([self.L_z, self.L_p]) if self.L_z.size else self.L_p
+
+    @property
     def gain_max_abs(self) -> float:
-        """Largest entry of K, L_i and L_p by size."""
-        return float(max(np.max(np.abs(gain), initial=0.0) for gain in (self.K, self.L_i, self.L_p)))
+        """Largest entry of K, L_i, L_p and L_z by size."""
+        return float(max(np.max(np.abs(gain), initial=0.0) for gain in (self.K, self.L_i, self.L_p, self.L_z)))
 
 
-def observer_matrices(augmentation: Augmentation, K: FloatArray, L_i: FloatArray, L_p: FloatArray) -> ObserverMatrices:
+def observer_matrices(
+    augmentation: Augmentation, K: FloatArray, L_i: FloatArray, L_p: FloatArray, L_z: FloatArray | None = None
+) -> ObserverMatrices:
     """Return all matrices of the observer for its gains: N = L1 A_z - K Cb, J = N F + K."""
     L1, F = augmentation.L1, augmentation.F
     N = L1 @ augmentation.A_z - K @ augmentation.C_b
-    return ObserverMatrices(K, L_i, L_p, L1, F, N, N @ F + K, augmentation.L_q, augmentation.F_q)
+    L_z = np.zeros((0, 0)) if L_z is None else L_z
+    return ObserverMatrices(K, L_i, L_p, L1, F, N, N @ F + K, augmentation.L_q, augmentation.F_q, L_z)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,8 +19,8 @@ from gains.plants.expression import compile_expression
 
 FORMAT = 2
 """Number of the layout: a reader refuses layouts that it does not know."""
-_ADDED: Mapping[str, Any] = {"L_q": {"shape": [0, 0], "rows": []}, "F_q": {"shape": [0, 0], "rows": []}}
-"""Fields that files of layout 1 do not have, and the values that they stand for there."""
+_ADDED: Mapping[str, Any] = {name: {"shape": [0, 0], "rows": []} for name in ("L_q", "F_q", "L_z")}
+"""Fields that earlier files do not have, and the values that they stand for there."""
 _LARGEST_FILE = 16 << 20
 """Largest size of a file, bytes. A quadrotor has 10,000, the sensors of a vehicle 26,000; a file of unknown origin must
 not fill the memory."""
@@ -74,6 +74,7 @@ class Gains:
     J: NDArray[np.float64]
     L_q: NDArray[np.float64]
     F_q: NDArray[np.float64]
+    L_z: NDArray[np.float64]
     report: Mapping[str, Any]  # figures of the design: bound, norm, certificate
 
 
@@ -112,8 +113,7 @@ def read_gains(path: str | Path) -> Gains:
         raise ModelError(f"{path}: larger than {_LARGEST_FILE >> 20} MiB; this is no gains file")
     if not isinstance(document, dict) or document.get("format") not in (1, FORMAT):
         raise ModelError(f"{path}: 'format' is not {FORMAT}; make the file again with 'fauio design'")
-    if document["format"] == 1:
-        document = {**_ADDED, **document}
+    document = {**_ADDED, **document}
     missing = [field.name for field in fields(Gains) if field.name not in document]
     if missing:
         raise ModelError(f"{path}: '{missing[0]}' is missing; make the file again with 'fauio design'")
@@ -162,6 +162,7 @@ def _check_shapes(gains: Gains) -> None:
         "L_p": (a1, p),
         "L_q": (nq, n),
         "F_q": (nq, p),
+        "L_z": (nz, p),
     }
     for name, shape in (compiled | structural).items():
         actual = getattr(gains, name).shape

@@ -49,7 +49,7 @@ def peak_bounds(plant: Plant, design: Design) -> dict[str, Any] | None:
     gains = design.gains
     injection = model.injection(gains.K, gains.L_i, gains.L_p)
     A, B = model.mean - injection @ model.C, model.B - injection @ model.D
-    C, D = (matrix / model.weights[:, None] for matrix in model.output(gains.L_p))
+    C, D = (matrix / model.weights[:, None] for matrix in model.output(gains.L_e))
     k, ne = len(model.H), len(model.weights)
     q = len(plant.disturbances) + len(plant.noises)
     C, D = np.vstack([C, model.H]), np.vstack([D, np.zeros((k, D.shape[1]))])

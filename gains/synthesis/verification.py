@@ -186,6 +186,7 @@ class _ExactSystem:
         low, high = _exact(np.vstack([np.zeros((0, 2)), *(g.slopes for g in plant.nonlinearities)])).T
         self.middle, self.half = (low + high) / 2, (high - low) / 2
         self.L_p, self.L_i, K = (_exact(getattr(design.gains, name)) for name in ("L_p", "L_i", "K"))
+        self.L_e = _exact(design.gains.L_e)
         self.K = K
         injection = np.vstack([K, self.L_i]) + L @ E_f @ self.L_p
         self.C = np.hstack([C_b, _exact(np.zeros((len(C_b), nq)))])
@@ -240,8 +241,9 @@ class _ExactSystem:
         C_e = _exact(np.eye(self.nz + self.a1, self.na))
         D_e = _exact(np.zeros((self.nz + self.a1, self.B.shape[1])))
         D_e[: self.nz, : self.moved.shape[1]] = self.moved[: self.nz]
-        C_e[self.nz :] -= self.L_p @ self.C
-        D_e[self.nz :] -= self.L_p @ self.D
+        first = len(C_e) - len(self.L_e)
+        C_e[first:] -= self.L_e @ self.C
+        D_e[first:] -= self.L_e @ self.D
         return C_e, D_e
 
     def _published(self, sloped: Any) -> tuple[Any, Any, Any, Any]:
