@@ -26,7 +26,7 @@ from gains.plants.plant import Fault, Nonlinearity, Plant
 from monitor.profile import Profile
 from replay.attacks.attack import ATTACK_KINDS, Attack
 from replay.attacks.injector import Injector, inject, plan
-from replay.attacks.instruments import INSTRUMENTS, metres_per_degree, pressure_altitude
+from replay.attacks.instruments import INSTRUMENTS, AttackScene, metres_per_degree, pressure_altitude
 from replay.attacks.plant_response import PlantResponse, States, find_fault
 from replay.player import play
 
@@ -225,6 +225,17 @@ def test_a_turned_compass_keeps_its_field_and_turns_its_heading() -> None:
         # close to level, the heading is that of the field's horizontal part
         turn = np.arctan2(-after[1], after[0]) - np.arctan2(-before[1], before[0])
         assert (turn + pi) % (2 * pi) - pi == pytest.approx(0.5, abs=0.2)
+
+
+def test_a_field_that_messages_repeat_between_measurements_is_repeated_in_a_turned_compass() -> None:
+    field = {"xmag": 200, "ymag": 20, "zmag": 400}
+    (compass,) = (quantity for quantity in INSTRUMENTS["compass"] if quantity.message == "RAW_IMU")
+    scene, found = AttackScene(), []
+    for scene.roll, fields in ((0.0, field), (0.1, field), (0.1, field | {"xmag": 210})):
+        value = compass.read(fields, scene)
+        assert value is not None
+        found.append(compass.write(fields, value + 0.5, scene))
+    assert found[0] == found[1] != found[2]
 
 
 def test_a_scale_factor_of_a_position_counts_from_home_and_of_a_rate_from_zero() -> None:

@@ -23,6 +23,8 @@ _SEA_LEVEL_HPA, _ISA_SCALE_M, _ISA_EXPONENT = 1013.25, 44_330.77, 0.190_263
 """Of the international standard atmosphere: T_0 / L = 288.15 K / 6.5 K/km, R L / g."""
 _UNKNOWN_U16 = 65535
 """UINT16_MAX: MAVLink's value for an unknown speed or course."""
+_SAME_TURN = 1e-9
+"""Largest difference of equal angles, rad: the rounding of some operations is 1e-15."""
 _DEGE7 = 1e-7
 """Degrees per unit of MAVLink's latitude and longitude."""
 
@@ -36,6 +38,8 @@ class AttackScene:
     pitch: float = 0.0
     # metres per degree of latitude and of longitude at the first GPS fix; None before it
     metres: tuple[float, float] | None = None
+    # of each message, the newest magnetic field, the angle by which it was turned, and the turned field
+    turned: dict[str, tuple[list[float], float, list[float]]] = field(default_factory=dict)
 
     def feed(self, message: Message) -> None:
         """Process a message of the vehicle."""
@@ -190,7 +194,10 @@ def _pressure(message: str, name: str) -> Quantity:
 
 
 def _compass(message: str) -> Quantity:
-    """Heading of the levelled field; to write another heading, the field is turned about the vertical."""
+    """Heading of the levelled field; to write another heading, the field is turned about the vertical.
+
+    Messages between two measurements repeat the field. They repeat the turned one, too, although the attitude moves on.
+    """
 
     def read(fields: MessageFields, scene: AttackScene) -> float | None:
         x, y, z = fields["xmag"], fields["ymag"], fields["zmag"]
@@ -204,7 +211,10 @@ def _compass(message: str) -> Quantity:
         heading = read(fields, scene)
         turn = 0.0 if heading is None else heading - value
         vector = [fields[name] for name in ("xmag", "ymag", "zmag")]
-        turned = _turned(vector, _down(scene), turn)
+        before, angle, turned = scene.turned.get(message, ([], 0.0, []))
+        if vector != before or abs(turn - angle) > _SAME_TURN:
+            turned = _turned(vector, _down(scene), turn)
+            scene.turned[message] = vector, turn, turned
         whole = isinstance(vector[0], int)
         return {
             **fields,
