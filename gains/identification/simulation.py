@@ -16,15 +16,12 @@ from typing import Literal
 import numpy as np
 
 from adapters.errors import ModelError
+from gains.plants.discretise import transition
 from gains.plants.expression import FUNCTIONS, Node, closure, derivative, parse_expression
 from gains.plants.plant import FloatArray, Plant
 
 Hold = Literal["first", "zero"]
 Vectorised = Callable[[Sequence[FloatArray]], FloatArray]
-
-# Number of terms of the series for a matrix of size one half: the remainder is below 1e-17.
-_TERMS = 14
-_MOST_HALVINGS = 60
 
 _FUNCTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
     name: getattr(np, {"atan": "arctan"}.get(name, name)) for name in (*FUNCTIONS, "sign")
@@ -132,35 +129,8 @@ def _sampled(dynamics: Dynamics, h: float, hold: Hold) -> tuple[FloatArray, ...]
     if dynamics.rate_hz is not None:
         return dynamics.A, dynamics.B, np.zeros((n, s)), dynamics.c, dynamics.G, np.zeros((n, m))
     held = np.hstack([dynamics.B, dynamics.c[:, None], dynamics.G])
-    r = held.shape[1]
-    exponent = np.zeros((n + 2 * r, n + 2 * r))
-    exponent[:n, :n], exponent[:n, n : n + r] = h * dynamics.A, h * held
-    exponent[n : n + r, n + r :] = np.eye(r)
-    with np.errstate(all="ignore"):
-        transition = _expm(exponent)[:n]
-    if not np.isfinite(transition).all():
-        raise ModelError(f"the model grows without bound within a sample of {h:g} s")
-    constant, ramp = transition[:, n : n + r], transition[:, n + r :]
-    end = ramp.copy()
+    Phi, constant, end = np.split(transition(dynamics.A, held, h, "the model", s + 1 + m), [n, n + s + 1 + m], axis=1)
     if hold == "zero":
         end[:, : s + 1] = 0.0
     start = constant - end
-    return transition[:, :n], start[:, :s], end[:, :s], constant[:, s], start[:, s + 1 :], end[:, s + 1 :]
-
-
-def _expm(matrix: FloatArray) -> FloatArray:
-    """Return the exponential of a small matrix by its series, scaled and squared.
-
-    SciPy's function costs ten times as much for matrices of this size, and a fit needs thousands.
-    """
-    halvings = max(0, int(np.ceil(np.log2(max(float(np.abs(matrix).sum(axis=1).max()), 1e-300)))) + 1)
-    if halvings > _MOST_HALVINGS:
-        return np.full_like(matrix, np.inf)
-    term = total = np.eye(len(matrix))
-    scaled = matrix / 2.0**halvings
-    for order in range(1, _TERMS):
-        term = term @ scaled / order
-        total = total + term
-    for _ in range(halvings):
-        total = total @ total
-    return total
+    return Phi, start[:, :s], end[:, :s], constant[:, s], start[:, s + 1 :], end[:, s + 1 :]

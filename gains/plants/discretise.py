@@ -55,7 +55,8 @@ def discretise(plant: Plant, rate_hz: float) -> Plant:
     blocks = [plant.B, plant.G, plant.E_f, plant.E_1, plant.c[:, None]]
     held = np.hstack(blocks)
     ends = np.cumsum([n, *(block.shape[1] for block in blocks)])[:-1]
-    whole, half = (_transition(plant, held, part / rate_hz) for part in (1.0, 0.5))
+    what = f"{plant.name}: the model"
+    whole, half = (transition(plant.A, held, part / rate_hz, what) for part in (1.0, 0.5))
     A, B, G, E_f, E_1, c = np.split(whole, ends, axis=1)
     A_half, B_half, _, E_half, _, c_half = np.split(half, ends, axis=1)
     columns = dict(zip((fault.name for fault in plant.actuator_faults), E_f.T, strict=True))
@@ -84,18 +85,27 @@ def discretise(plant: Plant, rate_hz: float) -> Plant:
     )
 
 
-def _transition(plant: Plant, held: FloatArray, period: float) -> FloatArray:
-    """Return [Phi, Gamma] over a period."""
+def transition(A: FloatArray, held: FloatArray, period: float, what: str, ramps: int = 0) -> FloatArray:
+    """Return [Phi, Gamma, Rho] of x+ = Phi x + Gamma v + Rho dv over a period, for x' = A x + held v.
+
+    The inputs v are held over the period, or rise by dv, the first ``ramps`` of them (van Loan 1978).
+
+    Raises
+    ------
+    ModelError
+        ``what`` grows without bound.
+    """
     from scipy.linalg import expm
 
-    n = len(plant.states)
-    exponent = np.zeros((n + held.shape[1],) * 2)
-    exponent[:n] = np.hstack([plant.A, held])
+    n, m = held.shape
+    exponent = np.zeros((n + m + ramps,) * 2)
+    exponent[:n, : n + m] = np.hstack([A, held]) * period
+    exponent[n : n + ramps, n + m :] = np.eye(ramps)
     with np.errstate(all="ignore"):  # overflow is reported below
-        transition = expm(exponent * period)[:n]
-    if not np.all(np.isfinite(transition)):
-        raise ModelError(f"{plant.name}: the model grows without bound within a sample of {period:g} s")
-    return np.asarray(transition)
+        blocks = expm(exponent)[:n]
+    if not np.all(np.isfinite(blocks)):
+        raise ModelError(f"{what} grows without bound within a sample of {period:g} s")
+    return np.asarray(blocks)
 
 
 def _unheld(plant: Plant, period: float) -> Iterator[Disturbance]:

@@ -31,6 +31,7 @@ import numpy as np
 
 from adapters.errors import ModelError
 from gains.analysis.augment import augment, slope_matrix, slope_vertices
+from gains.plants.discretise import transition
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.compilation import common_fields
 from gains.synthesis.design import Design, ObserverMatrices, design_figures, observer_matrices
@@ -179,26 +180,14 @@ def _recursion(observer: ContinuousObserver, period: float) -> _Recursion:
 def _first_order_hold(
     observer: ContinuousObserver, period: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return Phi, X0, X1 and c of s(k+1) = Phi s(k) + X0 r(k) + X1 r(k+1) + c for r = [y; v; g].
-
-    They are blocks of the matrix exponential of [[A h, B h, b h], [0, 0, I]] with r and its change as states.
-    """
-    from scipy.linalg import expm
-
+    """Return Phi, X0, X1 and c of s(k+1) = Phi s(k) + X0 r(k) + X1 r(k+1) + c for r = [y; v; g]."""
     plant, ns = observer.plant, len(observer.step)
-    # [A, B_y, M B, M G]: s, then r
-    held = np.hstack([observer.step, observer.into @ plant.B, observer.into @ plant.G])
-    nr = held.shape[1] - ns
-    exponent = np.zeros((ns + 2 * nr + 1,) * 2)
-    exponent[:ns, : ns + nr] = held * period
-    exponent[:ns, -1] = observer.into @ plant.c * period
-    exponent[ns : ns + nr, ns + nr : -1] = np.eye(nr)
-    with np.errstate(all="ignore"):  # overflow is reported below
-        blocks = expm(exponent)[:ns]
-    if not np.all(np.isfinite(blocks)):
-        raise ModelError(f"{plant.name}: the observer grows without bound within a sample of {period:g} s")
-    X1 = blocks[:, ns + nr : -1]
-    return blocks[:, :ns], blocks[:, ns : ns + nr] - X1, X1, blocks[:, -1]
+    # step is [A, B_y]; then M B, M G and M c
+    held = np.hstack([observer.step[:, ns:], *(observer.into @ part for part in (plant.B, plant.G, plant.c[:, None]))])
+    nr = held.shape[1] - 1
+    blocks = transition(observer.step[:, :ns], held, period, f"{plant.name}: the observer", nr)
+    Phi, X, constant, X1 = np.split(blocks, [ns, ns + nr, ns + nr + 1], axis=1)
+    return Phi, X - X1, X1, constant[:, 0]
 
 
 def _largest_pole(plant: Plant, recursion: _Recursion) -> float:
