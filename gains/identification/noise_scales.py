@@ -8,10 +8,12 @@ others are represented by the white signals that are nearest to them.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
+from gains.analysis.riccati import doubled
 from gains.plants.plant import FloatArray
 
 _SPAN = (1e-4, 20.0)
@@ -33,8 +35,6 @@ _STARTS = (1.0, 0.3, 0.1, 0.03, 0.01, 0.001)
 """Shares of disturbance and of noise at the starts, in all combinations, because the likelihood has several maxima.
 Measured on the turret of the tests: one start finds the same scales, except for a disturbance too small to be
 distinguished from noise."""
-_DOUBLINGS = 40
-"""Number of doublings. Convergence is quadratic; forty reach a filter that needs 2 ^ 40 samples to forget."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,26 +102,15 @@ def _kalman(
 ) -> tuple[FloatArray, FloatArray]:
     """Return filter gains (M, n, p) and innovation covariances (M, p, p) for M pairs of Q and R.
 
-    Riccati's equation is solved by doubling (Anderson 1978), in units in which the residual of each output is one. If
-    it has no solution, the gain is zero and the covariance so large that the likelihood is never the best.
+    Riccati's equation is solved in units in which the residual of each output is one. If it has no solution, the gain
+    is zero and the covariance so large that the likelihood is never the best.
     """
     C_1, R_1 = C / size[:, None], R / np.outer(size, size)
-    F, identity = np.broadcast_to(A.T, Q.shape), np.eye(len(A))
+    P = np.full_like(Q, np.nan)
     with np.errstate(all="ignore"):
-        G, P = C_1.T @ np.linalg.solve(R_1, np.broadcast_to(C_1, (len(R), *C_1.shape))), Q
-        for _ in range(_DOUBLINGS):
-            if not (np.isfinite(G).all() and np.isfinite(P).all() and np.isfinite(F).all()):
-                break
-            try:
-                inverse = np.linalg.inv(identity + G @ P)
-            except np.linalg.LinAlgError:
-                P = np.full_like(P, np.nan)
-                break
-            F_T = np.swapaxes(F, 1, 2)
-            F, G, P, before = F @ inverse @ F, G + F @ inverse @ G @ F_T, P + F_T @ P @ inverse @ F, P
-            if np.all(np.abs(P - before).max(axis=(1, 2)) <= 1e-12 * np.abs(P).max(axis=(1, 2))):
-                break
-        P = 0.5 * (P + np.swapaxes(P, 1, 2))
+        for m in range(len(Q)):
+            with suppress(np.linalg.LinAlgError):
+                P[m] = doubled(A.T, C_1.T @ np.linalg.solve(R_1[m], C_1), Q[m])
         S = C_1 @ P @ C_1.T + R_1
         bad = ~np.isfinite(S).all(axis=(1, 2)) | ~(np.linalg.eigvalsh(np.nan_to_num(S)).min(axis=1) > 0.0)
         P[bad], S[bad] = 0.0, 1e12 * np.eye(len(C))
