@@ -10,7 +10,7 @@ import numpy as np
 from adapters.errors import UntoldError
 from gains.identification.regression import AxisFit, AxisModel, fit_axis
 from gains.identification.segment import Segment
-from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.plants.plant import Disturbance, Fault, Noise, Plant, on_each
 
 _EXCITED_T = 10.0
 """An actuator is watched if its gain is known within a tenth. Chosen: what is not known of the gain is a loss that
@@ -65,8 +65,8 @@ class AxesFit:
         for o, axis in enumerate(self.axes):
             for effect, value in zip((axis.model.actuator, *axis.model.others), (axis.b, *axis.effects), strict=True):
                 B[o, self.inputs.index(effect)] = value
-        identity = np.eye(len(self.axes))
         doubt = [float(np.hypot(axis.disturbance_std, axis.b_error * axis.moved)) for axis in self.axes]
+        noise = [max(axis.noise_std, _LEAST_NOISE * size) for axis, size in zip(self.axes, doubt, strict=True)]
         return Plant(
             name=name,
             domain="discrete",
@@ -77,7 +77,7 @@ class AxesFit:
             A=np.diag([axis.a for axis in self.axes]),
             B=B,
             c=np.array([axis.c for axis in self.axes]),
-            C=identity,
+            C=np.eye(len(self.axes)),
             faults=tuple(
                 Fault(
                     name=verdict.actuator,
@@ -90,18 +90,8 @@ class AxesFit:
                 for verdict in self.excitation
                 if verdict.excited
             ),
-            disturbances=tuple(
-                Disturbance(name=f"disturbance_{output}", column=identity[:, o], scale=doubt[o])
-                for o, output in enumerate(outputs)
-            ),
-            noises=tuple(
-                Noise(
-                    name=f"noise_{axis.model.output}",
-                    column=identity[:, o],
-                    scale=max(axis.noise_std, _LEAST_NOISE * doubt[o]),
-                )
-                for o, axis in enumerate(self.axes)
-            ),
+            disturbances=on_each(Disturbance, outputs, doubt),
+            noises=on_each(Noise, outputs, noise),
             state_errors=np.array([axis.residual_std for axis in self.axes]),
         )
 

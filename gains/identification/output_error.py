@@ -26,7 +26,7 @@ from gains.identification.segment import Segment
 from gains.identification.shooting import Shooting, Windows, cut_windows
 from gains.identification.simulation import Hold, linearised
 from gains.plants.discretise import discretise
-from gains.plants.plant import Disturbance, FloatArray, Noise, Plant
+from gains.plants.plant import Disturbance, FloatArray, Noise, Plant, on_each
 
 _WINDOW_S = 2.0
 """Length of a window, s. Longer ones show slow dynamics, in shorter ones disturbances move the simulation less.
@@ -299,12 +299,11 @@ def _noise(signals: Plant, states: FloatArray, errors: FloatArray, rate_hz: floa
 
 def _with_signals(plant: Plant) -> Plant:
     """Return the plant with a noise on every output, and with disturbances: on every state if it declares none."""
-    states, outputs = np.eye(len(plant.states)), np.eye(len(plant.outputs))
+    outputs = np.eye(len(plant.outputs))
     own = tuple(int(np.flatnonzero(w.column)[0]) for w in plant.noises if np.count_nonzero(w.column) == 1)
     return replace(
         plant,
-        disturbances=plant.disturbances
-        or tuple(Disturbance(f"disturbance_{name}", states[i]) for i, name in enumerate(plant.states)),
+        disturbances=plant.disturbances or on_each(Disturbance, plant.states, np.ones(len(plant.states))),
         noises=plant.noises
         + tuple(Noise(f"noise_{name}", outputs[j]) for j, name in enumerate(plant.outputs) if j not in own),
     )

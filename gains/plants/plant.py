@@ -86,6 +86,14 @@ class Noise:
 Signal = TypeVar("Signal", Disturbance, Noise)
 
 
+def on_each(kind: type[Signal], names: Sequence[str], scales: Iterable[float]) -> tuple[Signal, ...]:
+    """Return a disturbance of each state (``disturbance_NAME``), or a noise of each output (``noise_NAME``)."""
+    return tuple(
+        kind(f"{kind.__name__.lower()}_{name}", column, float(scale))
+        for name, column, scale in zip(names, np.eye(len(names)), scales, strict=True)
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Nonlinearity:
     """One scalar nonlinearity g_i(H_i x); it enters the states through column i of the plant's G."""

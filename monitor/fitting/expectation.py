@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from adapters.errors import ModelError
-from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant
+from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant, on_each
 from gains.synthesis.blocks import design_blocks
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
@@ -101,22 +101,22 @@ def expectation_plant(
     is the expected value of one measurement, unless ``B`` (n, s) is given.
     """
     identity = np.eye(len(expectations))
-    columns = list(zip(expectations, identity, strict=True))
+    measured, left = tuple(one.measured for one in expectations), np.array([one.left for one in expectations])
     return Plant(
         name=name,
         domain="discrete",
         rate_hz=rate_hz,
-        states=tuple(f"expected_{one.measured}" for one in expectations),
+        states=tuple(f"expected_{name}" for name in measured),
         inputs=tuple(inputs),
-        outputs=tuple(one.measured for one in expectations),
+        outputs=measured,
         A=0.0 * identity,
         B=identity if B is None else B,
         C=identity,
         faults=tuple(
             Fault(one.fault, "actuator", column, one.rate, one.smallest, one.unit, input=one.input)
-            for one, column in columns
+            for one, column in zip(expectations, identity, strict=True)
         ),
-        disturbances=tuple(Disturbance(f"disturbance_{one.measured}", column, one.left) for one, column in columns),
-        noises=tuple(Noise(f"noise_{one.measured}", column, one.left) for one, column in columns),
-        state_errors=np.array([one.left for one in expectations]),
+        disturbances=on_each(Disturbance, measured, left),
+        noises=on_each(Noise, measured, left),
+        state_errors=left,
     )

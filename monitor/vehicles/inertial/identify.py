@@ -30,7 +30,7 @@ import numpy as np
 
 from adapters.channels import STANDARD_GRAVITY
 from gains.analysis.estimability import restricted
-from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant
+from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant, on_each
 from gains.synthesis.bank import Hypothesis
 from gains.synthesis.blocks import design_blocks
 from monitor.vehicles.inertial.sensor_fit import (
@@ -111,8 +111,6 @@ def inertial_plant(fit: InertialFit, name: str) -> Plant:
         B[d, a], B[w, a] = 0.5 * gain * T, T
         for output in vertical:
             C[fit.outputs.index(output), d] = 1.0
-    outputs = np.eye(len(fit.outputs))
-    identity = np.eye(n)
     return Plant(
         name=name,
         domain="discrete",
@@ -124,13 +122,8 @@ def inertial_plant(fit: InertialFit, name: str) -> Plant:
         B=B,
         C=C,
         faults=tuple(_faults(fit, states, B)),
-        disturbances=tuple(
-            Disturbance(f"disturbance_{state}", identity[:, k], fit.disturbance[state])
-            for k, state in enumerate(states)
-        ),
-        noises=tuple(
-            Noise(f"noise_{output}", outputs[:, k], fit.noise[output]) for k, output in enumerate(fit.outputs)
-        ),
+        disturbances=on_each(Disturbance, states, map(fit.disturbance.__getitem__, states)),
+        noises=on_each(Noise, fit.outputs, map(fit.noise.__getitem__, fit.outputs)),
         state_errors=np.array([_state_error(fit, state, chains) for state in states]),
         description="Strapdown kinematics: GPS, barometer, compass and gyro against each other",
     )

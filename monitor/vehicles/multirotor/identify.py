@@ -44,7 +44,7 @@ from gains.identification.coloured_noise import (
 )
 from gains.identification.lag import lag_taps, shortened
 from gains.identification.segment import Segment
-from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant
+from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant, on_each
 
 RATE_AXES = ("roll_rate", "pitch_rate", "yaw_rate")
 VERTICAL = "vertical_acceleration"
@@ -645,7 +645,6 @@ def multirotor_plant(
     n, s = fit.B.shape
     states = (*RATE_AXES, VERTICAL)[:n]
     identity = np.eye(n)
-    disturbed = fit.residual_std + np.append(doubt, 0.0)[:n]
     return Plant(
         name=name,
         domain="discrete",
@@ -657,8 +656,6 @@ def multirotor_plant(
         B=fit.B,
         c=fit.c,
         C=identity,
-        G=np.zeros((n, 0)),
-        nonlinearities=(),
         faults=tuple(
             Fault(
                 name="_or_".join(motors[i] for i in alike),
@@ -675,14 +672,8 @@ def multirotor_plant(
             Fault(name=gyro, kind="sensor", column=identity[:, o], error=float(fit.residual_std[o]), unit="rad/s")
             for o, gyro in enumerate(GYROS if gyros else ())
         ),
-        disturbances=tuple(
-            Disturbance(name=f"disturbance_{state}", column=identity[:, o], scale=float(disturbed[o]))
-            for o, state in enumerate(states)
-        ),
-        noises=tuple(
-            Noise(name=f"noise_{state}", column=identity[:, o], scale=float(fit.residual_std[o]))
-            for o, state in enumerate(states)
-        ),
+        disturbances=on_each(Disturbance, states, fit.residual_std + np.append(doubt, 0.0)[:n]),
+        noises=on_each(Noise, states, fit.residual_std),
         state_errors=fit.residual_std,
         taps=tuple(float(h) for h in fit.taps),
         curves=((1.0 - fit.square, fit.square),) * s,
