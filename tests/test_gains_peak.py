@@ -18,7 +18,7 @@ from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.design import Design
-from gains.synthesis.peak import peak_bounds
+from gains.synthesis.peak import largest_bounds, peak_bounds
 from monitor.estimation.affine import AffineObserver
 
 
@@ -105,3 +105,14 @@ def test_with_its_rate_stated_bound_and_certificate_hold_for_the_true_arm(rate: 
     w = np.linalg.solve(np.column_stack([w.scale * w.column for w in unheld]), left_out.T)
     energy = np.sum((run.x[:, 0] - states) ** 2) + np.sum(run.fault**2)
     assert energy <= design.mu * np.sum(w**2)
+
+
+def test_of_the_designs_of_a_bank_the_largest_bound_of_each_fault_counts() -> None:
+    reports = [
+        {"faults": ["motor", "gyro"], "error_bounds": {"motor": {"at_most": 1.0}, "gyro": {"at_most": 2.0}}},
+        {"faults": ["motor"], "error_bounds": {"motor": {"at_most": 3.0}}},
+    ]
+    assert largest_bounds(reports) == {"motor": 3.0, "gyro": 2.0}
+    # a bound that one of them does not prove holds for none; gains files may come from anywhere
+    for damaged in ({"faults": ["gyro"]}, {"faults": ["gyro"], "error_bounds": {"gyro": {"at_most": "2"}}}):
+        assert largest_bounds([*reports, damaged]) == {"motor": 3.0}

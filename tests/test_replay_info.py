@@ -205,10 +205,13 @@ def test_a_profile_tells_observers_bounds_and_alarms(
     assert arm["sqrt_mu"] > 0.0
     [rule] = [rule for rule in arm_profile.observers[0].alarms if rule.channel == "motor"]
     assert arm["alarms"]["motor"]["threshold"] == rule.threshold
+    bounds = arm_profile.observers[0].gains[0].report["error_bounds"]
+    assert arm["alarms"]["motor"]["at_most"] == bounds["motor"]["at_most"] > 0.0
     assert ask(capsys, folder / "profile.toml")["digest"] == found["digest"]
     text = told(capsys, folder)
     assert "certificate holds" in text
     assert "motor    from" in text
+    assert "in the model's worst case" in text
 
 
 def test_a_model_tells_its_names_and_whether_it_can_be_estimated(capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from adapters.toml_tables import is_number
 from gains.analysis.augment import augment, error_model
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.design import Design
@@ -108,6 +109,22 @@ def _summed(A: FloatArray, B: FloatArray, C: FloatArray, sizes: FloatArray) -> F
         if np.all(left <= _FORGOTTEN * np.max(total, axis=1, keepdims=True, initial=0.0)):
             return np.asarray(total + left)
     return None
+
+
+def largest_bounds(reports: Iterable[Mapping[str, Any]]) -> dict[str, float]:
+    """Return how far the estimate of each fault is off at most, by any of several designs, as those of a bank.
+
+    Faults for which one of the designs that estimate them proves no bound are left out. ``reports`` are those of gains
+    files, of any origin.
+    """
+    largest: dict[str, float] = {}
+    for report in reports:
+        bounds = report.get("error_bounds")
+        for name in report.get("faults") or ():
+            entry = bounds.get(name) if isinstance(bounds, Mapping) else None
+            error: Any = entry.get("at_most") if isinstance(entry, Mapping) else None
+            largest[name] = max(largest.get(name, 0.0), float(error) if is_number(error) else np.inf)
+    return {name: error for name, error in largest.items() if error < np.inf}
 
 
 def bound_lines(faults: Iterable[str], bounds: Mapping[str, Any]) -> list[str]:

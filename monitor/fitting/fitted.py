@@ -15,9 +15,10 @@ from adapters.errors import UsageError
 from gains.plants.model_file import write_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import write_gains
+from gains.synthesis.peak import largest_bounds
 from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule
-from monitor.display import number_text
+from monitor.display import number_text, size_text
 from monitor.estimation.isolation_rule import BankRule, gains_file_names
 from monitor.fitting.agreement import Agreement
 from monitor.fitting.capability import Capability, capability_text
@@ -134,6 +135,11 @@ class Fitted(ObserverSetup):
     agreement: Agreement | None = None  # which flights disagree
 
     @property
+    def at_most(self) -> dict[str, float]:
+        """How far each estimate is off at any one time at most, while no signal exceeds its size in the model."""
+        return largest_bounds(gains.report for gains in self.gains)
+
+    @property
     def sqrt_mu(self) -> float:
         """Largest certified bound of its designs."""
         return max(float(gains.report["sqrt_mu"]) for gains in self.gains)
@@ -175,6 +181,7 @@ class Fitted(ObserverSetup):
             "flight_s": self.flight_s,
             **({"flights": self.agreement.to_json()} if self.agreement is not None else {}),
             "sqrt_mu": self.sqrt_mu,
+            "at_most": self.at_most,
             "alarms": {found.rule.channel: _alarm_report(found) for found in self.alarms},
             "capability": {
                 capability.channel: asdict(capability) | {"text": capability_text(capability)}
@@ -185,12 +192,23 @@ class Fitted(ObserverSetup):
     def text(self, details: bool = False) -> list[str]:
         """Return what was found as lines for people, the first one a headline."""
         return [
-            f"{self.name}: {self.flight_s:.0f} s of healthy samples, certified sqrt(mu) {self.sqrt_mu:.4g}",
+            f"{self.name}: {self.flight_s:.0f} s of healthy samples, certified",
             *(f"  {line}" for line in self.lines),
-            *(f"  {line}" for line in self.details if details),
+            *(f"  {line}" for line in (*self.details, *self._bounds()) if details),
             *(f"  {line}" for line in self._agreement(details)),
             *(f"  sees {capability_text(capability)}" for capability in self.capability),
             *self._false_alarms(),
+        ]
+
+    def _bounds(self) -> list[str]:
+        at_most, usual = self.at_most, self.profile().usual_commands
+        known = [(name, rule.unit) for rule in self.rules if (name := rule.channel) in at_most]
+        if not known:
+            return []
+        sizes = ", ".join(f"{name} {size_text(at_most[name], unit, usual.get(name))}" for name, unit in known)
+        return [
+            "in the model's worst case, where faults move at their rates and all disturbance and noise push one way at "
+            f"full size, off by {sizes}"
         ]
 
     def _false_alarms(self) -> list[str]:

@@ -15,6 +15,7 @@ from gains.identification.free_model import read_free_model
 from gains.plants.model_file import BUILTIN_MODELS, load_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, read_gains
+from gains.synthesis.peak import largest_bounds
 from monitor.display import size_text
 from monitor.profile import PROFILE_FILE, ObserverProfile, read_profile
 from replay.inspection.log_info import log_info
@@ -74,6 +75,7 @@ def _messages(observer: ObserverProfile) -> set[str]:
 
 def _observer(observer: ObserverProfile, said: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     gains = observer.gains
+    at_most = largest_bounds(one.report for one in gains)
     return {
         "rate_hz": observer.rate_hz,
         "hypotheses": len(gains),
@@ -87,6 +89,7 @@ def _observer(observer: ObserverProfile, said: Mapping[str, Mapping[str, Any]]) 
                 "threshold": rule.threshold,
                 "usual_command": observer.usual_commands.get(rule.channel),
                 "critical": rule.critical,
+                "at_most": at_most.get(rule.channel),
                 "unit": rule.unit,
                 "raise_s": rule.raise_s,
                 "sees": said[rule.channel].get("sees"),
@@ -308,19 +311,25 @@ def _profile(content: Mapping[str, Any]) -> Iterator[str]:
     for name, entry in content["observers"].items():
         bank = f", bank of {entry['hypotheses']}" if entry["hypotheses"] > 1 else ""
         size = f"{len(entry['states'])} states, {len(entry['inputs'])} inputs, {len(entry['outputs'])} outputs"
-        yield f"  {name}: {entry['rate_hz']:g} Hz, {size}{bank}, {_bound(entry)}"
+        yield f"  {name}: {entry['rate_hz']:g} Hz, {size}{bank}, {_certified(entry)}"
         width = max((len(channel) for channel in entry["alarms"]), default=0)
         for channel, rule in entry["alarms"].items():
             sees = f"; sees {rule['sees']}" if rule["sees"] else ""
             words = rule["unit"], rule["usual_command"]
             threshold, critical = (size_text(rule[key], *words) for key in ("threshold", "critical"))
             sizes = f"from {threshold}, critical {critical}"
+            if rule["at_most"] is not None:
+                sizes += f", off by {size_text(rule['at_most'], *words)} in the model's worst case"
             yield f"    {channel:<{width}}  {sizes}{sees}"
 
 
 def _bound(content: Mapping[str, Any]) -> str:
     bound = "no certified bound" if content["sqrt_mu"] is None else f"sqrt(mu) {content['sqrt_mu']:.4g}"
-    return f"{bound}, {'certificate holds' if content['certified'] else 'not certified'}"
+    return f"{bound}, {_certified(content)}"
+
+
+def _certified(content: Mapping[str, Any]) -> str:
+    return "certificate holds" if content["certified"] else "not certified"
 
 
 def _gains(content: Mapping[str, Any]) -> Iterator[str]:
