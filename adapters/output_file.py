@@ -1,4 +1,7 @@
-"""Writes files whole or not at all: a full disk leaves an existing file as it was, and the error names the file."""
+"""Writes files whole or not at all, and lays out JSON and TOML for people.
+
+A full disk leaves an existing file as it was, and the error names the file.
+"""
 
 from __future__ import annotations
 
