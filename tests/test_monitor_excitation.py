@@ -77,6 +77,18 @@ def test_what_no_fitted_flight_did_is_told_while_it_counts_and_of_the_whole_run(
     )
 
 
+def test_more_throttle_and_stronger_gusts_than_in_any_fitted_flight_are_told() -> None:
+    stage = ExcitationStage(replace(RULE, throttle_fitted=0.6, gusts_fitted=2.0), ("roll_rate", "other"), 1, HZ)
+    of = samples(np.zeros(50), np.full(50, 0.7))
+    found = stage.run(of, np.full(50, 4.0))
+    assert (stage.outside, stage.furthest) == (None, None)
+    of = samples(np.zeros(50), np.full(50, 0.9))
+    assert stage.run(of, np.full(50, 9.0))[:, 3].tolist() == found[:, 3].tolist() == [1.0] * 50
+    told = "throttle 90 %, fitted to 60; gusts 3 times the usual, fitted to 2"
+    assert stage.outside == f"outside the fitted flights ({told}): only faults 1.5 times as large are detected"
+    assert stage.furthest == (1.0, f"outside the fitted flights: {told}; only larger faults are detected there")
+
+
 def test_a_change_of_a_command_counts_though_nothing_turns_yet() -> None:
     u = np.full(100, 0.5)
     u[50:] = 0.7

@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 class Excitation:
-    newest: tuple[float, float, float]
-    furthest: tuple[float, float]
+    newest: tuple[float, float, float, float, float]
+    furthest: tuple[float, float, float, float]
     rows: int
     def __init__(self, outputs: Sequence[int], variance: Array, hold: int, inputs: int, outside: float) -> None: ...
     def run(self, u: Array, y: Array, restart: NDArray[np.bool_], level: Array) -> Array: ...

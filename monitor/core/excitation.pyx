@@ -13,12 +13,14 @@ import numpy as np
 cdef class Excitation:
     """The largest output and the largest change of a command over the last rows, and the scale that follows.
 
+    The mean command and the strength of gusts, the root of the residuals' level, are compared with the fitted flights.
+
     Parameters
     ----------
     outputs : ndarray
         Indices of the judged outputs.
     variance : ndarray
-        c_0, c_1, c_2, b_1, b_2, R, D and c_3 (8,).
+        c_0, c_1, c_2, b_1, b_2, R, D, c_3, and the largest mean command and gusts of the fitted flights (10,).
     hold : int
         Rows over which the maximum is taken.
     inputs : int
@@ -29,9 +31,9 @@ cdef class Excitation:
     Attributes
     ----------
     newest : tuple
-        r, d and s of the last row.
+        r, d, mean command, gusts and s of the last row.
     furthest : tuple
-        Largest r and d of all rows.
+        Largest r, d, mean command and gusts of all rows.
     rows : int
         How many rows were outside.
     """
@@ -44,7 +46,7 @@ cdef class Excitation:
     cdef readonly Py_ssize_t rows
 
     def __init__(self, outputs, variance, hold, inputs, outside):
-        self.outside, self.newest, self.furthest = outside, (0.0, 0.0, 1.0), (0.0, 0.0)
+        self.outside, self.newest, self.furthest = outside, (0.0,) * 4 + (1.0,), (0.0,) * 4
         self.outputs, self.variance = np.asarray(outputs, np.intp), np.ascontiguousarray(variance, float)
         self.hold = max(1, hold)
         self.rate, self.moved, self.last = np.zeros(self.hold), np.zeros(self.hold), np.zeros(inputs)
@@ -54,19 +56,23 @@ cdef class Excitation:
         """Return r, d, s of n rows and how many times further than in the fitted flights r or d is, 1 inside (n, 4)."""
         cdef Py_ssize_t k, i, count = u.shape[0]
         cdef double rate, moved, square, beyond
-        cdef double[2] most
-        most[0], most[1] = self.furthest
+        cdef double[4] now, most
+        cdef bint out
+        most[0], most[1], most[2], most[3] = self.furthest
         cdef double* c = &self.variance[0]
+        cdef double[4] fitted
+        fitted[0], fitted[1], fitted[2], fitted[3] = c[5], c[6], c[8], c[9]
         result = np.empty((count, 4))
         cdef double[:, ::1] columns = result
         for k in range(count):
             if restart[k]:
                 self.known = 0
             self.row = (self.row + 1) % self.hold
-            rate = moved = 0.0
+            rate = moved = now[2] = 0.0
             for i in range(self.outputs.shape[0]):
                 rate = max(rate, fabs(y[k, self.outputs[i]]))
             for i in range(self.last.shape[0]):
+                now[2] += u[k, i] / self.last.shape[0]
                 if self.known:
                     moved = max(moved, fabs(u[k, i] - self.last[i]))
                 self.last[i] = u[k, i]
@@ -82,10 +88,14 @@ cdef class Excitation:
             beyond = max(1.0, rate / c[5]) if c[5] > 0.0 else 1.0
             beyond = max(beyond, moved / c[6]) if c[6] > 0.0 else beyond
             columns[k, 3] = beyond
-            self.rows += beyond > self.outside
-            most[0], most[1] = max(most[0], rate), max(most[1], moved)
+            now[0], now[1], now[3] = rate, moved, sqrt(level[k])
+            out = False
+            for i in range(4):
+                out |= fitted[i] > 0.0 and now[i] > self.outside * fitted[i]
+                most[i] = max(most[i], now[i])
+            self.rows += out
         if count:
-            self.newest, self.furthest = (rate, moved, columns[count - 1, 2]), (most[0], most[1])
+            self.newest, self.furthest = tuple(now) + (columns[count - 1, 2],), tuple(most)
         return result
 
 

@@ -15,7 +15,7 @@ livelier than those that were fitted.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from math import ceil
 from typing import Any
@@ -46,9 +46,15 @@ class ExcitationRule:
     output_fitted: float  # r and D, in the units of the outputs and the commands
     command_fitted: float
     residuals: float = 0.0  # c_3, per level of the residuals
+    # largest mean command and strength of gusts (root of lambda) of the fitted flights, for people to be told; 0: not
+    # known
+    throttle_fitted: float = 0.0
+    gusts_fitted: float = 0.0
 
 
 _NUMBERS = tuple(key.name for key in fields(ExcitationRule) if key.name != "outputs")
+_LATER = ("residuals", "throttle_fitted", "gusts_fitted")
+"""Numbers that earlier profiles do not have."""
 
 
 def judged_outputs(table: Table, outputs: Sequence[str]) -> tuple[str, ...]:
@@ -63,7 +69,7 @@ def judged_outputs(table: Table, outputs: Sequence[str]) -> tuple[str, ...]:
 def read_excitation(table: Table, outputs: Sequence[str]) -> ExcitationRule:
     """Return the rule of an observer's table ``excitation``; mistakes are recorded in its file."""
     judged = judged_outputs(table, outputs)
-    numbers = {key: table.number(key, 0.0 if key == "residuals" else None, at_least=0.0) for key in _NUMBERS}
+    numbers = {key: table.number(key, 0.0 if key in _LATER else None, at_least=0.0) for key in _NUMBERS}
     table.done()
     return ExcitationRule(judged, **numbers)
 
@@ -71,6 +77,14 @@ def read_excitation(table: Table, outputs: Sequence[str]) -> ExcitationRule:
 def excitation_table(rule: ExcitationRule) -> dict[str, Any]:
     """Return the table that :func:`read_excitation` reads back as the same rule."""
     return {"outputs": list(rule.outputs)} | {key: getattr(rule, key) for key in _NUMBERS}
+
+
+_SIZES = (
+    ("rate", "rad/s", 1.0),
+    ("change of a command", "%", 100.0),
+    ("throttle", "%", 100.0),
+    ("gusts", "times the usual", 1.0),
+)
 
 
 class ExcitationStage:
@@ -81,7 +95,7 @@ class ExcitationStage:
         numbers = np.array([getattr(rule, key) for key in _NUMBERS])
         # as many samples as last HOLD_S, and the one at which a change of commands shows
         self._core = Excitation(judged, numbers, ceil(HOLD_S * rate_hz) + 1, inputs, WORTH_SAYING)
-        self._fitted = rule.output_fitted, rule.command_fitted
+        self._fitted = rule.output_fitted, rule.command_fitted, rule.throttle_fitted, rule.gusts_fitted
         self._rate_hz = rate_hz
 
     def run(self, samples: Samples, level: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -97,17 +111,15 @@ class ExcitationStage:
     @property
     def outside(self) -> str | None:
         """The excess of the last ``HOLD_S`` over the fitted flights, for people; None if there is none."""
-        return outside_text(self._sizes(*self._core.newest[:2]), self._core.newest[2])
+        *sizes, scale = self._core.newest
+        return outside_text(self._sizes(sizes), scale)
 
     @property
     def furthest(self) -> tuple[float, str] | None:
         """For how long, seconds, and how far a run was outside of the fitted flights; None if it was not."""
-        sizes, seconds = self._sizes(*self._core.furthest), self._core.rows / self._rate_hz
+        sizes, seconds = self._sizes(self._core.furthest), self._core.rows / self._rate_hz
         return furthest_text(sizes, seconds, "only larger faults are detected there")
 
-    def _sizes(self, rate: float, change: float) -> list[tuple[str, float, float, str]]:
-        rate_fitted, change_fitted = self._fitted
-        return [
-            ("rate", rate, rate_fitted, "rad/s"),
-            ("change of a command", 100.0 * change, 100.0 * change_fitted, "%"),
-        ]
+    def _sizes(self, sizes: Sequence[float]) -> Iterator[tuple[str, float, float, str]]:
+        for (name, unit, scale), now, fitted in zip(_SIZES, sizes, self._fitted, strict=True):
+            yield name, scale * now, scale * fitted, unit

@@ -55,7 +55,7 @@ def fit_excitation(
     """
     actuators = [place for place, channel in enumerate(observer.faults) if channel.kind != "sensor"]
     none = ExcitationRule(tuple(outputs), *(0.0,) * 7)
-    error, believed, excited, levels = [], [], [], []
+    error, believed, excited, levels, throttles = [], [], [], [], []
     for run, stretches in healthy_runs(observer, gate, flights):
         samples = run.estimates.samples
         stage = ExcitationStage(none, observer.gains[0].outputs, samples.u.shape[1], observer.rate_hz)
@@ -64,6 +64,7 @@ def fit_excitation(
         believed += [run.estimates.isolated[rows][:, actuators] / unit for rows in stretches]
         excited += [causes[rows, :2] for rows in stretches]
         levels += [run.found.level[rows] for rows in stretches]
+        throttles += [samples.u[rows].mean(axis=1) for rows in stretches]
     c = excited_variance(np.concatenate(error), np.concatenate(excited), np.concatenate(levels))
     scaled = [
         column / np.sqrt(_regressors(causes, level) @ c)
@@ -72,7 +73,8 @@ def fit_excitation(
     ]
     level = healthy_levels(scaled, observer.rate_hz, alarms_per_hour, times).plain.level
     largest = np.concatenate(excited).max(axis=0)
-    numbers = [*(level / smallest) ** 2 * np.array([*c[:3], *beyond]), *largest, (level / smallest) ** 2 * c[3]]
+    told = np.concatenate(throttles).max(), np.sqrt(np.concatenate(levels).max())
+    numbers = [*(level / smallest) ** 2 * np.array([*c[:3], *beyond]), *largest, (level / smallest) ** 2 * c[3], *told]
     return ExcitationRule(tuple(outputs), *(float(f"{number:.4g}") for number in numbers))
 
 
