@@ -48,7 +48,7 @@ class AlarmEvent:
     latched: Annotated[bool, "it stays active although its cause is gone, until it is reset"] = False
     shelved_until_ns: Annotated[int | None, "Unix time at which shelving ends"] = None
     creeping: Annotated[bool, "only the mean over some seconds shows it; estimate is that mean"] = False
-    recurring: Annotated[bool, "it comes and goes, and clears only after a long quiet"] = False
+    recurring: Annotated[bool, "it comes and goes, and clears only after a longer quiet than before"] = False
     display: Annotated[str, "the size for people, from estimate, relative and unit; empty without a size"] = ""
     false_per_100h: Annotated[float | None, "expected false alarms of the channel in 100 hours, by its fit"] = None
     part: Annotated[str | None, "channel that locates the cause between command and thrust: escN, propN"] = None

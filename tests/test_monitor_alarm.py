@@ -256,13 +256,18 @@ def test_what_the_slow_mean_raises_is_shown_with_its_whole_size() -> None:
     assert (raised.threshold, raised.creeping) == (pytest.approx(0.025), True)
 
 
-def test_an_alarm_that_comes_and_goes_is_latched_until_it_was_quiet_for_long() -> None:
+def test_an_alarm_that_comes_and_goes_is_active_until_it_was_quiet_for_longer_than_before() -> None:
     rule = replace(RULE, latch_s=20.0)
-    burst = [-0.05] * 30 + [0.0] * 100
+    burst = [-0.05] * 30 + [0.0] * 200
     events = run(new_alarm(rule), burst * 5 + [0.0] * 2500)
-    assert [event.state for event in events] == ["raised", "cleared", "raised", "cleared", "raised", "cleared"]
-    assert events[4].message.endswith("(it comes and goes)")
-    assert events[5].vehicle_time_ms - events[4].vehicle_time_ms > 20_000
+    states = [event.state for event in events]
+    assert states == ["raised", "cleared", "raised", "cleared", "raised", *["updated"] * 5, "cleared"]
+    assert events[4].message.endswith("less than commanded (it comes and goes)")
+    # in each pause what is seen now is said, and one longer than those before ends it
+    assert [event.estimate for event in events[5:]] == [0.0, -0.05, 0.0, -0.05, 0.0, 0.0]
+    assert events[9].message == "motor1: nothing is seen of it now (it comes and goes)"
+    quiet_ms = events[10].vehicle_time_ms - (5 * len(burst) - 200) * STEP_NS // 1_000_000
+    assert 2_000 < quiet_ms - 1_000 * RULE.clear_s < 2_200
     assert len([event for event in run(new_alarm(), burst * 5) if event.state == "raised"]) == 5
     # a size that passes through zero is that of one fault
     events = run(new_alarm(rule), (burst + [-size for size in burst]) * 5)
@@ -406,7 +411,8 @@ def test_an_adopted_alarm_that_comes_and_goes_still_needs_its_long_quiet() -> No
     before = run(new_alarm(rule), ([0.05] * 20 + [0.0] * 60) * 2 + [0.05] * 20)
     assert before[-1].recurring
     after = handed_over(before, rule)
-    assert run(after, [0.0] * 400, 200) == []
+    (updated,) = run(after, [0.0] * 400, 200)
+    assert (updated.state, updated.estimate) == ("updated", 0.0)
     (cleared,) = run(after, [0.0] * 200, 600)
     assert (cleared.state, cleared.id) == ("cleared", before[-1].id)
 

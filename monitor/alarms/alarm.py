@@ -17,7 +17,8 @@ The alarm clears after the evidence has been below ``clear`` for ``clear_s``. If
 mean has to be below half of its size. If only the sudden path has seen the fault, the time begins two seconds later,
 and for a growing change another ``critical_ahead_s`` later. The alarm is critical from the size ``critical`` on, or as
 soon as its growth leads there within ``critical_ahead_s``. An alarm that is raised for the third time within
-``latch_s`` comes and goes: it clears only after ``latch_s`` without evidence.
+``latch_s`` comes and goes: it clears after ``clear_s`` more than the longest time without evidence that it returned
+from, and after ``latch_s`` at most.
 
 The debounce is a counter of time that counts up and down between limits: a sample without evidence delays an alarm and
 does not cancel it. Samples that are no evidence (not in flight, bridged across lost measurements) change nothing. An
@@ -141,7 +142,8 @@ _LARGEST = 1e300
 LATELY_NS = 10_000_000_000
 """An alarm that was raised at most this long before another one may be its consequence. Chosen: evidence of a second
 sender is counted over the same time."""
-_AFFECTED = "; affected: "
+AFFECTED = "; affected: "
+"""What precedes the channels that an alarm lists as affected by its cause, in its sentence."""
 _DOUBTED = "; or a second sender makes it look so"
 _STATES: Mapping[int, State] = {RAISED: "raised", UPDATED: "updated", CLEARED: "cleared"}
 
@@ -168,7 +170,7 @@ class AlarmRule:
     """Longer than a gust or a manoeuvre moves an estimate, shorter than a pilot would wait (docs/thresholds.md)."""
     lasting: float = math.inf  # size of the mean of all evidence that raises it; infinite: no such path
     lasting_s: float = LASTING_S  # shortest evidence for such a mean, seconds
-    # time without evidence that an alarm which comes and goes needs before it clears; 0: never latched
+    # longest time without evidence that an alarm which comes and goes needs before it clears; 0: never latched
     latch_s: float = 0.0
     # how far its growth is extrapolated, for the severity and for a fault that grows from its start, seconds; 0: not at
     # all
@@ -214,8 +216,8 @@ def retuned(rule: AlarmRule, values: Mapping[str, object]) -> AlarmRule:
 
 def with_affected(message: str, channels: Sequence[str]) -> str:
     """Return an alarm's sentence with the channels that are affected by the alarm's cause."""
-    own = message.partition(_AFFECTED)[0]
-    return f"{own}{_AFFECTED}{', '.join(channels)}" if channels else own
+    own = message.partition(AFFECTED)[0]
+    return f"{own}{AFFECTED}{', '.join(channels)}" if channels else own
 
 
 class Alarm:
@@ -298,7 +300,8 @@ class Alarm:
         if instead is not None:
             message += f"; it may be {instead} instead, the two are not told apart yet"
         if now.recurring and code != CLEARED:
-            message = f"{message} (it comes and goes)"
+            seen = abs(now.shown) >= rule.clear
+            message = f"{message if seen else f'{rule.channel}: nothing is seen of it now'} (it comes and goes)"
         if code != CLEARED:
             message = with_affected(message + _DOUBTED * self._doubted, self._affected)
         return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative, sd, instead)
@@ -341,6 +344,10 @@ class Alarm:
         if not self.state.active or not 0 <= time_ns - self.since_ns <= lately_ns:
             return None
         return self.close(time_ns, vehicle_ns, why)
+
+    def ended_since(self, time_ns: int) -> bool:
+        """Return whether the alarm has ended by itself at a time or later."""
+        return self._last is not None and self._last.state == "cleared" and self._last.time_ns >= time_ns
 
     def _event(
         self,

@@ -133,6 +133,7 @@ cdef class AlarmState:
     cdef Trend trend
     cdef int64_t raised_ns[3]
     cdef int raised_count
+    cdef int64_t pause_ns  # longest time without evidence between its raises, one soon after the other
     cdef bint excused_now
     cdef double allowed
     cdef int64_t[:, ::1] excused_spans
@@ -143,6 +144,7 @@ cdef class AlarmState:
         self.explained_ns = self.explained_last_ns = 0
         self.counter_ns = self.fast_counter_ns = 0
         self.raised_count = 0
+        self.pause_ns = 0
         self.last_ns = self.ended_ns = LONG_AGO
         self.reported_sd = self.reported_command = NAN
         self.rival = -1
@@ -186,6 +188,8 @@ cdef class AlarmState:
         self.active, self.critical, self.creeping, self.recurring = True, critical, creeping, recurring
         self.shown = self.reported = estimate
         self.peak, self.size, self.reported_ns, self.reported_sd = peak, size, reported_ns, sd
+        # The event does not say how long it was quiet between its raises.
+        self.pause_ns = <int64_t>self.latch_ns
 
     def deactivate(self):
         """Stop being active without an event, and forget the evidence so far."""
@@ -322,9 +326,14 @@ cdef class AlarmState:
 
     cdef int raise_alarm(self, int64_t now, double evidence, double size, bint creeping) noexcept:
         cdef int i
+        cdef int64_t quiet = now - self.ended_ns
         self.counter_ns = self.fast_counter_ns = self.unseen_ns = 0
         self.trend.reset()
-        if not (self.raised_count and 0 <= now - self.ended_ns <= CROSSED_NS and evidence * self.peak < 0.0):
+        if self.raised_count and 0 <= quiet <= self.latch_ns:
+            self.pause_ns = max(self.pause_ns, quiet + <int64_t>self.clear_ns)
+        else:
+            self.pause_ns = 0
+        if not (self.raised_count and 0 <= quiet <= CROSSED_NS and evidence * self.peak < 0.0):
             if self.raised_count == RECURRENCES:
                 for i in range(RECURRENCES - 1):
                     self.raised_ns[i] = self.raised_ns[i + 1]
@@ -354,21 +363,31 @@ cdef class AlarmState:
         self.critical = self.critical or worsens
         if fabs(shown) > fabs(self.peak):
             self.peak = shown
+        due = not 0 <= now - self.reported_ns < UPDATE_EVERY_NS
         kept = fabs(self.whole) >= 0.5 * self.lasting if self.lasts else fabs(self.mean) >= 0.5 * self.slow
         if fabs(evidence) < self.clear and not (self.creeping and kept):
             if self.unseen_ns > 0:
                 self.unseen_ns -= elapsed
                 return NONE
             self.counter_ns += elapsed
-            if self.counter_ns >= (self.latch_ns if self.recurring else self.clear_ns):
+            # A fault that comes and goes has ended when it is away for longer than ever in between. Of n pauses of the
+            # same kind the last is the longest by one chance in n, so even one that lasts raises few alarms.
+            if self.counter_ns >= (min(self.latch_ns, self.pause_ns + self.clear_ns) if self.recurring
+                                   else self.clear_ns):
                 self.active = False
                 self.ended_ns = now
                 self.counter_ns = 0
                 self.forget()
                 return CLEARED
+            if due and self.counter_ns >= self.clear_ns and fabs(self.reported) >= self.clear:
+                # It may come back: until then nothing is seen of it.
+                self.reported, self.reported_ns, self.reported_sd = shown, now, sd
+                return UPDATED
             return NONE
         self.unseen_ns = 0
-        self.counter_ns = 0 if self.recurring else max(0, self.counter_ns - elapsed)
+        if self.recurring:
+            self.pause_ns, self.counter_ns = max(self.pause_ns, self.counter_ns), 0
+        self.counter_ns = max(0, self.counter_ns - elapsed)
         # A constant share of a command that changed is no news.
         expected = self.reported
         if self.reported_command != 0.0 and isfinite(command / self.reported_command):
@@ -377,7 +396,6 @@ cdef class AlarmState:
         moved = fabs(shown - expected) > (moves if isnan(sd) else max(moves, UPDATE_SDS * sd))
         # Any standard deviation is better than an unknown one.
         sharper = UPDATE_SHARPER * sd <= self.reported_sd or (isnan(self.reported_sd) and not isnan(sd))
-        due = not 0 <= now - self.reported_ns < UPDATE_EVERY_NS
         if worsens or ((moved or sharper or rival != self.rival) and due):
             if sharper and self.peak == self.reported:
                 # The peak was the rough size of before.
