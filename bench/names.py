@@ -35,6 +35,7 @@ from adapters.batch import pack
 from adapters.errors import UsageError
 from adapters.logs.recordings import read_batches
 from adapters.message import Message
+from monitor.alarms.alarm import AFFECTED
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
@@ -393,6 +394,12 @@ def _judged(case: Case, group: str, one: Flight, events: Sequence[AlarmEvent], o
     during = [spell for spell in _spells(events) if on_ms <= spell.raised_ms <= off_ms + AFTERMATH_S * 1000]
     ended = [event for event in events if event.state == "cleared" and event.message.startswith(EXPLAINED)]
     listed = {(event.channel, event.vehicle_time_ms) for event in ended}
+    affected = {
+        name
+        for event in events
+        if event.channel in case.channels
+        for name in event.message.partition(AFFECTED)[2].split(", ")
+    }
     named = [s for s in during if s.channel in case.channels or (s.channel, s.raised_ms) in sets]
     right = [spell for spell in named if spell.raised_ms <= off_ms]
     ends = [spell.cleared_ms for spell in during]
@@ -412,7 +419,9 @@ def _judged(case: Case, group: str, one: Flight, events: Sequence[AlarmEvent], o
             dict.fromkeys(
                 spell.channel
                 for spell in during
-                if spell not in named and (spell.channel, spell.cleared_ms) not in listed
+                if spell not in named
+                and (spell.channel, spell.cleared_ms) not in listed
+                and not (spell.cleared_ms and spell.channel in affected)
             )
         ),
         as_set=f"{right[0].channel} or {sets[key]}"

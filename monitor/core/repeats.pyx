@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""Finds rows of an IMU that were sent before, value by value: part of a recording that is sent again.
+"""Finds rows of an IMU, or of rates and angles, that were sent before, value by value: part of a recording.
 
 Noisy sensors never give two rows that are equal in every value, still less many in the same order. Rows are remembered
 by a hash of their values, with the index of its first row. Stamps are not compared: who sends a recording again may
@@ -17,6 +17,9 @@ cdef enum:
 # Length of a run of repeated rows that is no chance. Chosen: of a sensor at rest with coarse steps, two rows may be
 # equal once in ten.
 cdef int CERTAIN = 20
+# Least time without a row of the recording after which it has ended, ns. Chosen: half of the two seconds within which
+# an alarm's end is to be known.
+cdef long long ENDED = 1_000_000_000
 # Least time since the first sending, ns: duplicates over two radios come within less (link_alarms.py).
 cdef long long APART = 10_000_000_000
 
@@ -27,7 +30,8 @@ cdef unsigned long long MIX = 0xff51afd7ed558ccdULL
 cdef class Repeats:
     """The hashes of a stream's last rows."""
 
-    def __cinit__(self):
+    def __cinit__(self, int senses):
+        self._senses = min(senses, SENSES)
         self._hashes, self._first = np.zeros((2, KEPT), np.uint32)
         self._received = np.zeros(KEPT, np.int64)
 
@@ -36,7 +40,7 @@ cdef class Repeats:
         cdef unsigned long long bits, code = 0
         cdef unsigned int found, slot
         cdef int i
-        for i in range(SENSES):
+        for i in range(self._senses):
             memcpy(&bits, row + i, sizeof(bits))
             code = (code ^ bits ^ (bits >> 33)) * MIX
             code ^= code >> 33
@@ -59,7 +63,19 @@ cdef class Repeats:
         self._received[i] = received
         if self._hashes[self._first[slot]] == found:
             self._hashes[i] = found - 1
+            self._new = 0
         else:
             self._hashes[i], self._first[slot] = found, i
+            self._new += 1
         self._count += 1
-        return self._run >= CERTAIN
+        if self._run < CERTAIN:
+            return False
+        self._told, self._last = True, received
+        return True
+
+    cdef bint ends(self, long long received) noexcept:
+        """Return, once, whether a recording has ended: as many rows are new as proved that they came again."""
+        if not self._told or self._new < CERTAIN or 0 <= received - self._last < ENDED:
+            return False
+        self._told = False
+        return True

@@ -511,6 +511,12 @@ cdef class VehicleClock:
         self.found[name, what] = received + _CONTEST
         return begins
 
+    cdef int withdraw(self, name, str what, nanoseconds received) except -1:
+        """End what was registered of a message, as it was found not to be so any more."""
+        self._began = True
+        self.found[name, what] = received
+        return 0
+
     cdef bint _confirmed(self, nanoseconds stamp) noexcept:
         """Return whether the candidate before, which was far from the newest stamp too, is near this one."""
         cdef nanoseconds before = self._candidate
@@ -1031,7 +1037,8 @@ cdef class Stream:
             lane.seldom = LINE_PERIODS * max(fitted, tick)
         self.lanes = [lane]
         self.senders = Interleaved([channel.period or 0.0 for channel in self.channels])
-        self.before = Repeats() if len(group) >= SENSES else None
+        noisy = len(group) >= SENSES or (restless and not commands)
+        self.before = Repeats(len(group)) if noisy else None
         stopped = [NAN if channel.stopped_as is None else channel.stopped_as for channel in self.channels]
         self.pace, self.stands = Pace(), Stands(stopped) if commands else None
         channel = self.channel
@@ -1185,6 +1192,8 @@ cdef class SamplerCore:
     cdef Response _response
     cdef object _commands
     cdef bint _unanswered
+    # Number of windows in which they did, when they were last found not to; -1: they follow.
+    cdef int _acted
 
     def __init__(self, inputs, outputs, rate_hz, VehicleClock clock not None, max_gap_s=MAX_GAP_S,
                  fitted_hz=MappingProxyType({}), bint restless=False, bint idles=False):
@@ -1220,7 +1229,7 @@ cdef class SamplerCore:
         self.interests = frozenset(self._streams)
         widest = max(map(len, groups.values()))
         self._held_row = <double*>_resized(NULL, widest * sizeof(double))
-        self._last_tick = self._due = -1
+        self._last_tick = self._due = self._acted = -1
         self._restarting = True
 
     def __dealloc__(self):
@@ -1285,6 +1294,8 @@ cdef class SamplerCore:
         if stream.before is not None and stream.before.take(received, row):
             clock.register(stream.channel.message, "before", received)
             clock.repeated_ns = stream.before.since
+        elif stream.before is not None and stream.before.ends(received):
+            clock.withdraw(stream.channel.message, "before", received)
         if clockless and stream.channel.clock is None and clock.newest_ns > 0:
             stamp = clock.newest_ns
             for lane in stream.lanes:
@@ -1319,7 +1330,10 @@ cdef class SamplerCore:
             self.give_out()
             if self._unanswered:
                 clock.register(self._commands, "response", received)
-                self._unanswered = False
+                self._unanswered, self._acted = False, self._response._acted
+            elif 0 <= self._acted < self._response._acted:
+                clock.withdraw(self._commands, "response", received)
+                self._acted = -1
         return 0
 
     cdef void follow_clock(self) noexcept:
@@ -1372,7 +1386,7 @@ cdef class SamplerCore:
         self._waiting = None
         self._newest = self._resumed = 0
         self._started = self._has_unix = False
-        self._last_tick = self._due = -1
+        self._last_tick = self._due = self._acted = -1
         self._restarting = True
 
     cdef int store(self, Stream stream, nanoseconds stamp, const double* row) except -1:
