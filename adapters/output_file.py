@@ -65,9 +65,12 @@ def _replace(target: Path, data: bytes) -> None:
         beside.unlink(missing_ok=True)
 
 
-_ELEMENT = r"(?P<inside> +)(?:[^\[\]{}\n]|\{[^\[\]{}\n]*\})+\n"
-_INNERMOST = re.compile(rf"(?P<begin>[\[{{])\n(?P<elements>(?:{_ELEMENT})+)(?P<outside> *)(?P<end>[\]}}])")
-"""An array or object of JSON or TOML that has a line for each element, and no element of several lines."""
+_ELEMENT = r"(?P<inside> ++)(?:[^\[\]{}\n]|\{[^\[\]{}\n]*+\})++\n"
+_INNERMOST = re.compile(rf"(?P<begin>[\[{{])\n(?P<elements>(?:{_ELEMENT})++)(?P<outside> *+)(?P<end>[\]}}])")
+"""An array or object of JSON or TOML that has a line for each element, and no element of several lines.
+
+Nothing matched is given back (``++``): otherwise the time would grow exponentially with the lines before an inner one.
+"""
 _WIDTH = 120
 """Longest line that is written. Chosen: as long as lines of code here."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.output_file import naming, write_file
+from adapters.output_file import json_text, naming, write_file
 
 FULL_DISK = """
 import resource, signal, sys
@@ -80,3 +81,17 @@ def test_what_is_no_file_is_written_to_as_it_comes(tmp_path: Path) -> None:
 def test_an_error_without_a_number_stays_as_it_is() -> None:
     with pytest.raises(OSError, match=r"^strange$"), naming("a"):
         raise OSError("strange")
+
+
+def test_json_has_short_arrays_and_objects_on_a_line_and_the_same_content() -> None:
+    content = {"size": [1.5, 2], "at": {"x": 1}, "said": ["a [b"], "long": list(range(100)), "in": [{"a": []}]}
+    text = json_text(content)
+    assert json.loads(text) == content
+    assert text.startswith('{\n "size": [1.5, 2],\n "at": {"x": 1},\n')
+    assert max(map(len, text.splitlines())) <= 120
+
+
+@pytest.mark.timeout(5)
+def test_the_time_to_lay_out_json_does_not_grow_with_the_lines_before_an_inner_array() -> None:
+    content = {"a": {"b": {"c": {"d": {f"k{n}": n for n in range(1000)} | {"inner": [{"x": 1}]}}}}}
+    assert json.loads(json_text(content)) == content
