@@ -65,7 +65,7 @@ def _replace(target: Path, data: bytes) -> None:
         beside.unlink(missing_ok=True)
 
 
-_ELEMENT = r"(?P<inside> ++)(?:[^\[\]{}\n]|\{[^\[\]{}\n]*+\})++\n"
+_ELEMENT = r"(?P<inside> ++)(?!\})[^\[\]\n]*+(?<!\{)\n"
 _INNERMOST = re.compile(rf"(?P<begin>[\[{{])\n(?P<elements>(?:{_ELEMENT})++)(?P<outside> *+)(?P<end>[\]}}])")
 """An array or object of JSON or TOML that has a line for each element, and no element of several lines.
 
