@@ -10,6 +10,7 @@ from typing import Any
 import zenoh
 
 from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.subscriber import AlarmSubscriber
 from monitor.event import AlarmEvent
 
 START_NS = 1_795_251_917_265_689_600
@@ -46,6 +47,16 @@ def until(condition: Callable[[], Any], every_s: float = 0.005) -> Any:
     while not (found := condition()):
         time.sleep(every_s)
     return found
+
+
+def heard(subscriber: AlarmSubscriber, enough: Callable[[list[AlarmEvent]], bool]) -> list[AlarmEvent]:
+    """Return the events that a subscriber gets, up to the first one with which they are enough."""
+    events: list[AlarmEvent] = []
+    while not enough(events):
+        event = subscriber.receive(0.2)
+        if event is not None:
+            events.append(event)
+    return events
 
 
 def put(session: zenoh.Session, key: str, payload: bytes | str) -> None:

@@ -9,12 +9,12 @@ import sys
 import threading
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from loopback import free_port, until
+from loopback import free_port, heard, until
 from packet_edit import readdressed
 
 import fauio
@@ -129,15 +129,6 @@ def daemon(tmp_path: Path, quad_folder: Path) -> Iterator[RunningDaemon]:
         found.close()
 
 
-def collect(subscriber: AlarmSubscriber, enough: Callable[[list[AlarmEvent]], bool]) -> list[AlarmEvent]:
-    events: list[AlarmEvent] = []
-    while not enough(events):
-        event = subscriber.receive(0.2)
-        if event is not None:
-            events.append(event)
-    return events
-
-
 def raised(events: list[AlarmEvent]) -> list[tuple[str, str]]:
     return [(event.vehicle, event.channel) for event in events if event.state == "raised" and event.kind != "stale"]
 
@@ -153,7 +144,7 @@ def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
     ]
     until(lambda: "vehicle-7" in subscriber.live)
     senders.append(daemon.send(data / "copter_wind_step.tlog.xz", 9))
-    events = collect(subscriber, lambda found: len(raised(found)) >= 2)
+    events = heard(subscriber, lambda found: len(raised(found)) >= 2)
     assert sorted(raised(events)) == [("first", "motor2"), ("vehicle-7", "motor3")]
     assert "vehicle-9" not in subscriber.live
     [refused] = until(lambda: daemon.logged("vehicle refused"), 0.02)
@@ -171,7 +162,7 @@ def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
     for sender in senders:
         sender.join(PATIENCE_S)
     until(lambda: daemon.status("first")["state"] == "stale")
-    rest = collect(subscriber, lambda found: sum(event.kind == "stale" for event in found) >= 2)
+    rest = heard(subscriber, lambda found: sum(event.kind == "stale" for event in found) >= 2)
     assert not raised(rest)
 
     page = daemon.fetch("/metrics")
