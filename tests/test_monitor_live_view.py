@@ -28,10 +28,11 @@ from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.views.live_buffer import VehicleView
-from monitor.views.live_view import LiveView, rerun_binary
 
 if TYPE_CHECKING:
     from rerun.chunk import RrdReader
+
+    from monitor.views.live_view import LiveView, ViewMode
 
 EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
 
@@ -47,6 +48,13 @@ if sys.argv[2] == "close":
 else:
     time.sleep(600)
 """
+
+
+def live_view(mode: ViewMode, **options: int) -> LiveView:
+    # Rerun's import takes 0.4 s of each process that collects tests
+    from monitor.views.live_view import LiveView
+
+    return LiveView(mode, **options)
 
 
 def tables(path: Path, **selected: Any) -> dict[str, dict[str, list[Any]]]:
@@ -91,6 +99,8 @@ def finished(path: Path) -> bool:
 @pytest.fixture
 def receiver(fake_rerun: FakeRerun) -> Path:
     """Put Rerun that saves in the place of Rerun that shows; return its file, complete when the view was closed."""
+    from monitor.views.live_view import rerun_binary
+
     return fake_rerun(f'exec {rerun_binary()} - --save "$out" --bind=127.0.0.1 --port={free_port()} 2> /dev/null')
 
 
@@ -121,9 +131,11 @@ def fill(view: VehicleView, ticks: int = 200) -> Estimates:
 
 def test_a_viewer_that_connects_sees_everything(tmp_path: Path) -> None:
     port, path = free_port(), tmp_path / "seen.rrd"
-    live = LiveView("serve", port=port, memory_mb=64)
+    live = live_view("serve", port=port, memory_mb=64)
     view = live.vehicle("copter-1", [LAYOUT], THRESHOLDS, {"ATTITUDE"})
     run = fill(view)
+    from monitor.views.live_view import rerun_binary
+
     command = [rerun_binary(), live.url, "--save", str(path), "--bind=127.0.0.1", f"--port={free_port()}"]
     until(lambda: live.batches > 0 and listening(port))
     viewer = subprocess.Popen(command, env=os.environ | {"CI": "1"}, stderr=subprocess.DEVNULL)
@@ -154,7 +166,7 @@ def listening(port: int) -> bool:
 
 def test_nothing_but_loopback_is_listened_on() -> None:
     port = free_port()
-    live = LiveView("serve", port=port)
+    live = live_view("serve", port=port)
     until(lambda: listening(port))
     tables = [Path("/proc/net/tcp"), Path("/proc/net/tcp6")]
     rows = [line.split() for table in tables if table.exists() for line in table.read_text().splitlines()[1:]]
@@ -164,7 +176,7 @@ def test_nothing_but_loopback_is_listened_on() -> None:
 
 
 def test_values_thresholds_alarms_and_telemetry_of_all_vehicles_are_sent(receiver: Path) -> None:
-    live = LiveView("spawn", memory_mb=99)
+    live = live_view("spawn", memory_mb=99)
     run = fill(live.vehicle("a", [LAYOUT, STANDBY], BOTH_THRESHOLDS, {"ATTITUDE"}))
     fill(live.vehicle("b", [LAYOUT], THRESHOLDS, ()))
     until(lambda: live.batches > 0)
@@ -192,7 +204,7 @@ def test_values_thresholds_alarms_and_telemetry_of_all_vehicles_are_sent(receive
 
 
 def test_a_shelved_alarm_is_shown_as_such(receiver: Path) -> None:
-    live = LiveView("spawn")
+    live = live_view("spawn")
     view = live.vehicle("a", [LAYOUT], THRESHOLDS, ())
     for alarm in (EVENTS[0], replace(EVENTS[1], state="shelved", shelved_until_ns=2**60), EVENTS[2]):
         view.event(alarm)
@@ -204,7 +216,7 @@ def test_a_shelved_alarm_is_shown_as_such(receiver: Path) -> None:
 
 def test_a_viewer_that_never_reads_stalls_nobody_and_ends_with_the_view(fake_rerun: FakeRerun) -> None:
     fake_rerun("exec sleep 1000")
-    live = LiveView("spawn")
+    live = live_view("spawn")
     view = live.vehicle("a", [LAYOUT], THRESHOLDS, {"ATTITUDE"})
     tick = 0
 
@@ -223,7 +235,7 @@ def test_a_viewer_that_never_reads_stalls_nobody_and_ends_with_the_view(fake_rer
 
 def test_a_viewer_that_is_closed_costs_nothing(fake_rerun: FakeRerun) -> None:
     fake_rerun("exit 0")
-    live = LiveView("spawn")
+    live = live_view("spawn")
     view = live.vehicle("a", [LAYOUT], THRESHOLDS, ())
     until(lambda: live.failures == 1)
     fill(view)
@@ -236,10 +248,10 @@ def test_a_port_that_is_taken_and_a_missing_executable_are_said_in_one_line(monk
         other.bind(("127.0.0.1", 0))
         other.listen()
         with pytest.raises(UsageError, match=r"cannot listen on 127.0.0.1:[0-9]+: .*; choose another port"):
-            LiveView("serve", port=other.getsockname()[1])
+            live_view("serve", port=other.getsockname()[1])
     monkeypatch.setenv("RERUN_CLI_PATH", "/nowhere/rerun")
     with pytest.raises(UsageError, match="/nowhere/rerun: Rerun's executable is missing"):
-        LiveView("spawn")
+        live_view("spawn")
 
 
 def test_a_process_with_a_view_that_nobody_looks_at_ends_by_itself() -> None:
@@ -256,7 +268,7 @@ def test_a_flight_with_a_motor_fault_shows_its_thresholds_and_its_alarm(
     receiver: Path, quad_profile: Profile, data: Path
 ) -> None:
     pipeline = Pipeline(quad_profile)
-    live = LiveView("spawn")
+    live = live_view("spawn")
     needed = frozenset[str]().union(*pipeline.needs.values())
     view = live.vehicle(pipeline.vehicle, pipeline.layouts, pipeline.thresholds, needed)
     said = []

@@ -28,7 +28,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 Floats = NDArray[np.float64]
 
@@ -222,6 +221,8 @@ def biases(innovations: Floats, noise: Floats, gain: float) -> Floats:
     As the signals are measured, a steady filter of one that has a wandering bias is a mean of the innovations,
     projected onto it, whose weights fade by ``gain`` with each row.
     """
+    from scipy.signal import lfilter
+
     weight = np.linalg.inv(noise)
     bias = lfilter([gain], [1.0, gain - 1.0], innovations @ weight / np.sqrt(np.diag(weight)), axis=0)
     return np.asarray(np.abs(bias).max(axis=1) * math.sqrt((2.0 - gain) / gain))
