@@ -195,10 +195,9 @@ def step_arm(scenario: ArmScenario, state: ArmState, start_s: float, end_s: floa
     """Return the state at ``end_s`` of an arm that was in ``state`` at ``start_s`` and whose torque is held."""
     edges = sorted({edge for fault in scenario.faults for edge in (fault.start_s, fault.stop_s)})
     borders = [start_s, *(edge for edge in edges if start_s < edge < end_s), end_s]
-    disturbance = 1.0 if scenario.disturbed else 0.0
     for first, last in pairwise(borders):
         acting = [f.signal for f in scenario.faults if f.channel == "f_a" and f.start_s <= first < f.stop_s]
-        state = _integrate(state, first, last, u=torque, f_a=acting, disturbance=disturbance)
+        state = _integrate(state, first, last, u=torque, f_a=acting, disturbed=scenario.disturbed)
     return state
 
 
@@ -220,7 +219,7 @@ def tracking_reference(time_s: float) -> tuple[ArmState, float]:
 
 
 def _integrate(
-    state: ArmState, start_s: float, end_s: float, *, u: float, f_a: Sequence[ArmSignal], disturbance: float
+    state: ArmState, start_s: float, end_s: float, *, u: float, f_a: Sequence[ArmSignal], disturbed: bool
 ) -> ArmState:
     """Return the state at ``end_s``; the signals in ``f_a`` act during the whole step."""
     steps = max(1, math.ceil((end_s - start_s) / MAX_STEP_S - 1e-9))
@@ -228,11 +227,9 @@ def _integrate(
     half, (x_1, x_2, x_3, x_4) = 0.5 * h, state
     for step in range(steps):
         now = start_s + step * h
-        drive = [
-            (u + sum([signal(s) for signal in f_a]) if f_a else u, disturbance * 0.2 * math.sin(10.0 * s))
-            for s in (now, now + 0.5 * h, now + h)
-        ]
-        (torque_1, w_1), (torque_2, w_2), (torque_3, w_3) = drive
+        times = now, now + half, now + h
+        torque_1, torque_2, torque_3 = [u + sum([signal(s) for signal in f_a]) for s in times] if f_a else (u, u, u)
+        w_1, w_2, w_3 = [0.2 * math.sin(10.0 * s) for s in times] if disturbed else (0.0, 0.0, 0.0)
         a_2, a_4 = _accelerations(x_1, x_2, x_3, torque_1, w_1)
         p_1, p_2, p_3, p_4 = x_1 + half * x_2, x_2 + half * a_2, x_3 + half * x_4, x_4 + half * a_4
         b_2, b_4 = _accelerations(p_1, p_2, p_3, torque_2, w_2)
