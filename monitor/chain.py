@@ -282,6 +282,8 @@ class ObserverChain:
         self._alarms = tuple(Alarm(rule, vehicle) for rule in rules)
         self._states = tuple(alarm.state for alarm in self._alarms)
         self._faults = [names.index(rule.channel) for rule in rules if rule.kind != "residual"]
+        # a slice where they are all, which copies nothing
+        self._columns = slice(None) if self._faults == [*range(len(names))] else self._faults
         # the share of its threshold that each fault reaches in health; faults whose errors grow with the manoeuvres
         shares = {rule.channel: rule.healthy / rule.threshold for rule in profile.alarms if rule.threshold > 0.0}
         healthy = np.array([shares.get(name, 0.0) for name in names])
@@ -485,6 +487,9 @@ class ObserverChain:
     def _coasted_s(self, samples: Samples) -> NDArray[np.float64]:
         """Return the seconds since the outputs were last measured, at each of n samples (n,); a restart is measured."""
         times_ns = samples.vehicle_time_ns
+        if len(samples) and samples.measured.all():
+            self._measured_ns = times_ns[-1]
+            return np.zeros(len(samples))
         last = np.maximum.accumulate(np.where(samples.measured | samples.restart, np.arange(len(samples)), -1))
         since_ns = times_ns - np.where(last < 0, self._measured_ns, times_ns[last])
         if len(samples):
@@ -565,9 +570,9 @@ class ObserverChain:
             speaking,
             alarm_scale,
             **({} if changes is None else self._named(changes)),
-            sd=size_sd[:, self._faults],
-            command=commands[:, self._faults],
-            rival=found.rival[:, self._faults],
+            sd=size_sd[:, self._columns],
+            command=commands[:, self._columns],
+            rival=found.rival[:, self._columns],
         )
         return ChainRun(
             estimates,
