@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from adapters.batch import Batch
+from adapters.batch import Batch, arrival_times
 from adapters.message import SECOND_NS
 from monitor.alarms.alarm import with_affected
 from monitor.alarms.desk import OBSERVER as MONITOR
@@ -280,14 +280,15 @@ class BlindAlarm:
 
     def receive(self, batch: Batch) -> None:
         """Record when messages of each name came."""
-        entries = [(one.name, int(one.received_ns[0]), int(one.received_ns[-1])) for one in batch.columns]
-        entries += [(message.name, message.received_ns, message.received_ns) for message in batch.others.values()]
-        if not self._received and entries:
+        if not self._received and batch.count:
             self._received = True
-            self.wait_from(min(first_ns for _, first_ns, _ in entries))
-        for name, first_ns, last_ns in entries:
-            for flow in self._receivers.get(name, ()):
-                flow.receive(name, first_ns, last_ns)
+            self.wait_from(int(arrival_times(batch).min()))
+        for columns in batch.columns:
+            for flow in self._receivers.get(columns.name, ()):
+                flow.receive(columns.name, int(columns.received_ns[0]), int(columns.received_ns[-1]))
+        for message in batch.others.values():
+            for flow in self._receivers.get(message.name, ()):
+                flow.receive(message.name, message.received_ns, message.received_ns)
 
     def pause(self, now_ns: int) -> None:
         """Expect no evidence while telemetry is stale, which has its own alarm.

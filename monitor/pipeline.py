@@ -164,6 +164,8 @@ class Pipeline:
         self._untrue: tuple[Mapping[str, str], Set[str], Mapping[str, int]] = {}, set(), {}
         self._numbered_ns = 0  # until when sequence numbers show two senders
         self._flown_ns = 0  # when it last reported to fly
+        # when the segment that may go on began, and from when on a message does more; the latest time: none goes on
+        self._begun_ns, self._due_ns = LATEST_NS, 0
         self.foreign = 0
         self.contradictions: Sequence[str] = ()
 
@@ -281,8 +283,8 @@ class Pipeline:
     def run(self, batch: Batch) -> list[Estimates | AlarmEvent]:
         """Process a batch of messages; return estimates and events.
 
-        A message that is more than a measurement begins a segment, in which the estimates come before the events. The
-        results do not depend on how a stream is cut into batches.
+        A message that is more than a measurement begins a segment, in which the estimates come before the events; it
+        goes on in later batches. The results do not depend on how a stream is cut into batches.
 
         Parameters
         ----------
@@ -323,16 +325,20 @@ class Pipeline:
             batch, self._interests, self._wanted, self.system, self._component, self._phase, self._streams
         )
         self.foreign += arrivals.foreign
-        index = 0
+        # The segment of the batch before goes on, unless the clock was set back since it began.
+        goes_on = arrivals.batch.count and self._begun_ns <= arrivals.received_ns(0)
+        index = self._run_segment(arrivals, 0, outputs, begins=False) if goes_on else 0
         while index < arrivals.batch.count:
             message = arrivals.message(index)
             outputs.extend(self.desk.tick(message.received_ns))
             if not message.source.is_telemetry or _commands(message):
                 outputs.extend(self._run_own(message))
+                self._begun_ns = LATEST_NS
                 index += 1
                 continue
             outputs.extend(self._through_desk(self._before(message)))
-            index = self._run_segment(arrivals, index, message.received_ns, outputs)
+            self._begin_segment(message.received_ns)
+            index = self._run_segment(arrivals, index, outputs, begins=True)
 
     def _before(self, message: Message) -> list[AlarmEvent]:
         """Return the events that the first message of a segment causes before its measurements are processed."""
@@ -360,15 +366,23 @@ class Pipeline:
         found = [] if sent is None else self._commands.follow(sent, flies)
         return [event for command in found for event in self._link.commanded(command, now_ns)]
 
-    def _run_segment(self, arrivals: Arrivals, start: int, start_ns: int, outputs: list[Estimates | AlarmEvent]) -> int:
-        """Process a segment: what its first message changed, then messages that only bring measurements.
+    def _begin_segment(self, start_ns: int) -> None:
+        """Prepare for a segment by what its first message has changed."""
+        self._begun_ns, self._due_ns = start_ns, self._next_due_ns(start_ns)
+        allowed = allows(self.profile.gate, self._phase)
+        for stage in self._stages:
+            stage.enter(allowed)
+        self._clock.flies = allowed and bool(self._phase.armed)
 
-        Return its end.
-        """
+    def _run_segment(
+        self, arrivals: Arrivals, start: int, outputs: list[Estimates | AlarmEvent], *, begins: bool
+    ) -> int:
+        """Process the measurements of a segment, which begins here or in an earlier batch; return its end."""
         reach = functools.partial(
             arrivals.segment,
             start,
-            self._due_ns(start_ns),
+            begins,
+            self._due_ns,
             self._stale.carried_ns,
             self._stale.limit_ns,
             self._link.heartbeat_ns,
@@ -377,18 +391,18 @@ class Pipeline:
             SET_BACK_NS,
         )
         segment = reach(arrivals.batch.count)
-        before_ns = self._clock.newest_ns
-        allowed = allows(self.profile.gate, self._phase)
-        for stage in self._stages:
-            stage.enter(allowed)
-        self._clock.flies = allowed and bool(self._phase.armed)
+        if segment.stop == start:
+            return start
+        before_ns, contests_ns = self._clock.newest_ns, self._contests_ns
         batch = cut(arrivals.batch, start, segment.stop)
         taken = sample_batch(self._clock, self._samplers, batch, stops=True)
         if taken.used < batch.count:
             # The clock is contested from here on; the next message has to report it.
             segment = reach(start + taken.used)
             batch = cut(arrivals.batch, start, segment.stop)
-        for report in arrivals.reports(start + 1, segment.stop):
+        if self._contests_ns != contests_ns:
+            self._begun_ns = LATEST_NS
+        for report in arrivals.reports(start + begins, segment.stop):
             # None of these messages changes the phase alone, but they may together with another one.
             self._phase.feed(report)
         # The newest time before a message is that after the message before it.
@@ -409,20 +423,19 @@ class Pipeline:
         outputs.extend(self._through_desk(alarm_events(runs, self._excuses)))
         return segment.stop
 
-    def _due_ns(self, start_ns: int) -> int:
+    @property
+    def _contests_ns(self) -> tuple[int, ...]:
+        """Unix times until which measurements show two senders."""
+        return self._clock.contested_ns, *self._clock.found.values()
+
+    def _next_due_ns(self, start_ns: int) -> int:
         """Return the Unix time from which on a message of a segment would do more than bring measurements."""
         # A flood that begins in the segment lasts for flood_s.
         flood_ns = start_ns + round(self.desk.rule.flood_s * 1e9)
-        contests_ns = self._clock.contested_ns, *self._clock.found.values(), self._numbered_ns
-        later_ns = self.desk.due_ns, self._driven_ns, self._level_ns
-        return min(
-            flood_ns,
-            self._blind.due_ns(self._flies(), start_ns),
-            self._landed_ns,
-            self._link.due_ns,
-            *(ns for ns in contests_ns if start_ns < ns),
-            *(ns for ns in later_ns if ns is not None),
-        )
+        later_ns = [ns for ns in (*self._contests_ns, self._numbered_ns) if start_ns < ns]
+        later_ns += [ns for ns in (self.desk.due_ns, self._driven_ns, self._level_ns) if ns is not None]
+        blind_ns = self._blind.due_ns(self._flies(), start_ns)
+        return min(flood_ns, blind_ns, self._landed_ns, self._link.due_ns, *later_ns)
 
     def _follow_evidence(self, batch: Batch, runs: Sequence[ChainRun | None], received: Callable[[int], int]) -> None:
         """Follow the evidence that the messages of a segment gave."""
@@ -487,16 +500,14 @@ class Pipeline:
 
     def _contradict(self, now_ns: int) -> list[AlarmEvent]:
         """Follow the latest messages that show two senders; return the events that a change causes."""
-        before, found = self._untrue, sorted(self._clock.found.items())
-        self._forged = {
-            name: _FORGED[what].format(pace=self._clock.pace) for (name, what), until_ns in found if now_ns < until_ns
-        }
+        before, found = self._untrue, sorted(key for key, until_ns in self._clock.found.items() if now_ns < until_ns)
+        self._forged = {name: _FORGED[what].format(pace=self._clock.pace) for name, what in found}
         certain = self._contradictions(now_ns)
         self.contradictions = [*certain, *[_TWICE_NUMBERED] * (now_ns < self._numbered_ns)]
         events = self._link.contradict(self.contradictions, now_ns, "critical" if certain else "warning")
-        again = {name for (name, what), until_ns in found if what == "before" and now_ns < until_ns}
+        again = {name for name, what in found if what == "before"}
         self._untrue = self._forged, again, self._blind.frozen
-        altered = {name for (name, what), until_ns in found if what == "response" and now_ns < until_ns}
+        altered = {name for name, what in found if what == "response"}
         for flow in self._blind.flows:
             flow.altered = any(channel.message in altered for channel in flow.chain.source.inputs)
         for chain in self._chains if self._untrue != before else ():

@@ -32,6 +32,7 @@ class Arrivals:
     def segment(
         self,
         start: int,
+        processed: bool,
         due_ns: int,
         carried_ns: int | None,
         silent_ns: int,

@@ -198,6 +198,7 @@ cdef class Arrivals:
     def segment(
         self,
         Py_ssize_t start,
+        bint processed,
         int64_t due_ns,
         carried_ns,
         int64_t silent_ns,
@@ -207,7 +208,7 @@ cdef class Arrivals:
         int64_t set_back_ns,
         Py_ssize_t most,
     ):
-        """Return the extent of the segment that a message begins.
+        """Return the extent of the segment that a message begins, or of its part in this batch.
 
         It ends before the next message that does more than bring measurements, because of its kind, its time, or the
         silence before it.
@@ -215,7 +216,9 @@ cdef class Arrivals:
         Parameters
         ----------
         start : int
-            Index of the message, which was processed already.
+            Index of its first message in this batch.
+        processed : bool
+            Whether this one begins it, and was processed already.
         due_ns : int
             Time from which a message does more.
         carried_ns : int | None
@@ -232,7 +235,8 @@ cdef class Arrivals:
             Index of the first message that it may not contain.
         """
         cdef int64_t carried = 0 if carried_ns is None else carried_ns
-        cdef Py_ssize_t stop = start + 1, carrier = start if self._arrivals[start].marks & CARRIES else -1
+        cdef Py_ssize_t stop = start + processed
+        cdef Py_ssize_t carrier = start if processed and self._arrivals[start].marks & CARRIES else -1
         cdef Arrival* arrival
         while carried_ns is not None and stop < min(most, self._count):
             arrival = self._arrivals + stop
