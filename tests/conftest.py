@@ -52,7 +52,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # run of the suite; `make test-long` looks at all invariants again with many. Where CI runs, the examples are the same
 # each time, as in hypothesis's own profile for it: a change is judged by what it changes.
 _SAME = "CI" in os.environ
-settings.register_profile("fauio", deadline=None, max_examples=12, derandomize=_SAME)
+settings.register_profile("fauio", deadline=None, max_examples=8, derandomize=_SAME)
 settings.register_profile("fauio-long", deadline=None, max_examples=300, derandomize=_SAME)
 settings.load_profile("fauio")
 

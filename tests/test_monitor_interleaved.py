@@ -146,10 +146,15 @@ def test_motors_are_not_accused_beside_measurements_that_are_sent_again_and_the_
     assert over.time_ns - end_ns < 2_000_000_000
 
 
-@pytest.mark.parametrize("share", [0.2, 0.45, 0.5])
 @pytest.mark.parametrize(
-    ("name", "changes"),
-    [("ATTITUDE", {"roll": 0.2}), ("HIGHRES_IMU", {"xgyro": 0.3}), ("SERVO_OUTPUT_RAW", {"servo1_raw": 150})],
+    ("name", "changes", "share"),
+    [
+        ("ATTITUDE", {"roll": 0.2}, 0.2),
+        ("ATTITUDE", {"roll": 0.2}, 0.45),
+        ("ATTITUDE", {"roll": 0.2}, 0.5),
+        ("HIGHRES_IMU", {"xgyro": 0.3}, 0.45),
+        ("SERVO_OUTPUT_RAW", {"servo1_raw": 150}, 0.5),
+    ],
 )
 def test_values_of_two_senders_are_an_impostor_from_the_first_message_on(
     bundled_quad: Profile, calm_flight: list[Message], name: str, changes: Mapping[str, float], share: float
