@@ -68,11 +68,11 @@ def closed_loop(
             moved = rng.random(flights) < STEP_S * LOOP / 0.3
             wanted = np.where(moved[:, None], brisk * rng.normal(size=(flights, 3)) * (0.5, 0.5, 0.4 * turning), wanted)
             lift = np.where(moved, 0.04 * min(brisk, 1.0) * rng.normal(size=flights), lift)
-            mean = np.clip(mean + (wanted - measured) * STEP_S * LOOP, -1.0, 1.0)
+            mean = within(mean + (wanted - measured) * STEP_S * LOOP, -1.0, 1.0)
             slow = slow + 0.15 * ((before - measured) / (STEP_S * LOOP) - slow)
             before = measured
-            controls = np.clip(gain * (wanted - measured + 0.5 * mean + 0.03 * slow), -0.2, 0.2)
-            u = np.clip(HOVER + lift[:, None] + controls @ MIXER[:, :3].T, 0.02, 1.0)
+            controls = within(gain * (wanted - measured + 0.5 * mean + 0.03 * slow), -0.2, 0.2)
+            u = within(HOVER + lift[:, None] + controls @ MIXER[:, :3].T, 0.02, 1.0)
         if k % every == 0:
             commands.append(u)
             rates.append(measured)
@@ -83,3 +83,8 @@ def closed_loop(
         y = y + STEP_S * (0.5 * (last + thrust) @ B.T - damping * y + gust)
     settled = round(2.0 * rate_hz)
     return [Segment(np.array(commands)[settled:, i], np.array(rates)[settled:, i]) for i in range(flights)]
+
+
+def within(values: FloatArray, least: float, most: float) -> FloatArray:
+    """Return values within limits; of few values ``np.clip`` takes five times as long."""
+    return np.minimum(np.maximum(values, least), most)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from simulated_multirotor import within
 
 import replay
 from adapters.logs.recordings import read_batches
@@ -69,20 +70,21 @@ def flight(
     u, y = np.full((n, 4), HOVER), np.zeros((n, 4))
     share, rate, gust = np.ones(4), np.zeros(3), np.zeros(3)
     delivered = np.tile(thrust(np.full(4, HOVER)), (n + lag, 1))
-    mixer = np.linalg.pinv(FIT.B[:3])
-    trim = FIT.B[:3] @ delivered[0]
+    B, lift = FIT.B[:3], FIT.B[3]
+    mixer, trim = np.linalg.pinv(B), B @ delivered[0]
+    turns_hz, gusts = np.array([0.7, 0.5, 0.3]), np.array([4e-4, 4e-4, 1e-4])
     for k in range(n):
-        wanted = turn * np.sin(2 * np.pi * k / HZ * np.array([0.7, 0.5, 0.3]))
-        u[k] = np.clip(HOVER + mixer @ (0.15 * (wanted - rate)), 0.0, 1.0)
+        wanted = turn * np.sin(2 * np.pi * k / HZ * turns_hz)
+        u[k] = within(HOVER + mixer @ (0.15 * (wanted - rate)), 0.0, 1.0)
         since = k + 1.0 - at_s * HZ
         share[motor] = 1.0 - loss * min(max(since, 0.0), 1.0) - growth * max(since, 0.0) / HZ
         delivered[k + lag] = (1.0 if broken else share) * thrust(u[k])
-        gust = 0.9 * gust + rng.normal(size=3) * np.array([4e-4, 4e-4, 1e-4])
+        gust = 0.9 * gust + rng.normal(size=3) * gusts
         y[k, :3] = rate + rng.normal(size=3) * 1e-4
         y[k, 0] += jump if k >= at_s * HZ else 0.0
         v = (share if broken else 1.0) * (FIT.taps @ delivered[k + lag : k : -1])
-        y[k, 3] = FIT.B[3] @ v + rng.normal() * 0.3
-        rate = FIT.a * rate + FIT.B[:3] @ v - trim + gust
+        y[k, 3] = lift @ v + rng.normal() * 0.3
+        rate = FIT.a * rate + B @ v - trim + gust
     times = np.arange(n, dtype=np.int64) * round(1e9 / HZ)
     always = np.ones(n, np.bool_)
     nothing = np.zeros((n, 8), np.bool_)

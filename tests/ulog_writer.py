@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ class UlogWriter:
         offsets = [*appended, 0, 0, 0][:3]
         self.data = bytearray(struct.pack("<7sBQ", b"ULog\x01\x12\x35", 1, start_us))
         self.formats: dict[str, list[tuple[str, int | None, str]]] = {}
+        self._padding: dict[str, int] = {}
         self.ends: list[int] = []
         self._ids = 0
         self.record("B", struct.pack("<8s8s3Q", bytes(8), bytes([flags]) + bytes(7), *offsets))
@@ -34,6 +36,9 @@ class UlogWriter:
     def define(self, name: str, fields: str) -> None:
         found = re.findall(r"(\w+)(?:\[(\d+)\])? (\w+)", fields)
         self.formats[name] = [(kind, int(count) if count else None, field) for kind, count, field in found]
+        # padding at the end of a record is not written
+        ending = list(takewhile(lambda one: one[2].startswith("_padding"), reversed(self.formats[name])))
+        self._padding[name] = sum(struct.calcsize(_CODES[kind]) * (count or 1) for kind, count, _ in ending)
         self.record("F", f"{name}:{fields};".encode())
 
     def subscribe(self, name: str, instance: int = 0) -> int:
@@ -42,13 +47,9 @@ class UlogWriter:
         return self._ids
 
     def add(self, number: int, name: str, values: Mapping[str, Any]) -> None:
-        body = struct.pack("<H", number) + self._packed(name, values)
-        trailing = 0
-        for kind, count, field in reversed(self.formats[name]):
-            if not field.startswith("_padding"):
-                break
-            trailing += struct.calcsize(_CODES[kind]) * (count or 1)
-        self.record("D", body[: len(body) - trailing])
+        codes, flat = self._flat(name, values)
+        body = struct.pack(f"<H{codes}", number, *flat)
+        self.record("D", body[: len(body) - self._padding[name]])
 
     def information(self, key: str, value: str) -> None:
         self.keyed("I", f"char[{len(value)}] {key}", value.encode())
@@ -73,15 +74,22 @@ class UlogWriter:
         path.write_bytes(self.data)
         return path
 
-    def _packed(self, name: str, values: Mapping[str, Any]) -> bytes:
-        packed = b""
+    def _flat(self, name: str, values: Mapping[str, Any]) -> tuple[str, list[Any]]:
+        """Return the codes of all fields for :mod:`struct`, and their values."""
+        codes: list[str] = []
+        flat: list[Any] = []
         for kind, count, field in self.formats[name]:
             value = values.get(field, 0)
             if kind == "char":
-                packed += struct.pack(f"{count or 1}s", str(value).encode())
+                codes.append(f"{count or 1}s")
+                flat.append(str(value).encode())
             elif kind in _CODES:
                 several = list(value) if count and value else [value] * (count or 1)
-                packed += struct.pack(f"<{len(several)}{_CODES[kind]}", *several)
+                codes.append(_CODES[kind] * len(several))
+                flat += several
             else:
-                packed += b"".join(self._packed(kind, one) for one in (value if count else [value]))
-        return packed
+                for one in value if count else [value]:
+                    inner, parts = self._flat(kind, one)
+                    codes.append(inner)
+                    flat += parts
+        return "".join(codes), flat
