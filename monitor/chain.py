@@ -36,7 +36,7 @@ from monitor.estimation.envelope import EnvelopeStage
 from monitor.estimation.estimator import make_estimator
 from monitor.estimation.excitation import ExcitationStage
 from monitor.estimation.isolation_rule import BankRule, edge_faults, keep_share
-from monitor.estimation.uncertainty import LAG_S, Uncertainty
+from monitor.estimation.uncertainty import Uncertainty, unmodelled_lag_s
 from monitor.event import AlarmEvent
 from monitor.profile import FaultChannel, ObserverProfile
 from monitor.sampling.gate import GatedSampler, GateRule
@@ -253,9 +253,9 @@ class ObserverChain:
         self.sampler, self.gate = self._sampler.sampler, self._sampler.gate
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(observer, profile.isolation, names, thresholds)
-        isolation = profile.isolation
-        lag_s = LAG_S if isinstance(isolation, BankRule) else isolation.smoothing_s
-        self._uncertainty = Uncertainty(observer, profile.model, names, profile.spread, lag_s)
+        lag_s = unmodelled_lag_s(profile.isolation)
+        measured = profile.spread, profile.moves, profile.periods_s
+        self._uncertainty = Uncertainty(observer, profile.model, names, *measured, lag_s)
         self._measured_ns = 0  # when the outputs were last measured
         self._command = CommandUnits(profile)
         self._effectiveness = EffectivenessStage(

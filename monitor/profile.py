@@ -136,6 +136,12 @@ class ObserverSetup:
     # ratio of the estimates' standard deviation in healthy flight to that of the design, by name of the fault; 1 if it
     # is left out
     spread: Mapping[str, float] = field(default_factory=dict)
+    # how far healthy flight moves a fault's estimate within its lag, as a multiple of that deviation, by name of the
+    # fault; left out: as far as white noise does
+    moves: Mapping[str, float] = field(default_factory=dict)
+    # length of the straight lines between the measurements that show a fault, seconds, by its name, where no rule for
+    # sudden changes has it; 0 if it is left out
+    lines_s: Mapping[str, float] = field(default_factory=dict)
     # how commands act with the battery's voltage; None: not at all, or not known
     supply: SupplyRule | None = None
 
@@ -153,6 +159,11 @@ class ObserverProfile(ObserverSetup):
     def rate_hz(self) -> float:
         """Samples per second."""
         return self.gains[0].rate_hz
+
+    @property
+    def periods_s(self) -> Mapping[str, float]:
+        """Time from one measurement that shows a fault to the next, seconds, by the fault's name, where it is known."""
+        return self.lines_s if self.changes is None else self.changes.lasts_s
 
     @property
     def usual_commands(self) -> dict[str, float]:
@@ -270,8 +281,9 @@ def observer_table(observer: ObserverProfile, sees: Mapping[str, str] = MappingP
         table["reached"] = dict(observer.reached)
     if observer.supply is not None:
         table["supply"] = asdict(observer.supply)
-    if observer.spread:
-        table["spread"] = dict(observer.spread)
+    for key in ("spread", "moves", "lines_s"):
+        if sizes := getattr(observer, key):
+            table[key] = dict(sizes)
     if observer.effectiveness:
         table["effectiveness"] = {name: effectiveness_table(rule) for name, rule in observer.effectiveness.items()}
     return table
@@ -350,7 +362,10 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         excitation=read_excitation(table.table("excitation"), shared.outputs) if table.has("excitation") else None,
         envelope=read_envelope(table.table("envelope")) if table.has("envelope") else None,
         reached=_sizes(table.table("reached"), {*shared.inputs, *shared.outputs}, "input or output"),
-        spread=_sizes(table.table("spread"), {channel.name for channel in faults}, "fault"),
+        **{
+            key: _sizes(table.table(key), {fault.name for fault in faults}, "fault")
+            for key in ("spread", "moves", "lines_s")
+        },
         supply=read_supply(table.table("supply")) if table.has("supply") else None,
         model=plant,
     )

@@ -24,15 +24,16 @@ def test_two_standard_deviations_hold_healthy_errors_19_times_of_20(quad_profile
     flight = flight_samples(
         read_batches(data / "copter_wind_step.tlog.xz"), observer.source, observer.rate_hz, quad_profile.gate
     )
-    spread = fit_spread(observer, observer.model, quad_profile.gate, [flight])
-    assert set(spread) == {channel.name for channel in observer.faults}
-    measured = replace(observer, spread=spread)
+    found = fit_spread(observer, observer.model, quad_profile.gate, [flight])
+    assert set(found.spread) == set(found.moves) == {channel.name for channel in observer.faults}
+    measured = replace(observer, **found._asdict())
     chain = ObserverChain(measured, "quad", quad_profile.gate, VehicleClock())
     run = chain.estimate(Given(flight.samples), flight.armed)
     inside = np.abs(run.estimates.fault) <= 2.0 * run.estimates.sd
     assert inside[flight.armed].mean(axis=0) == pytest.approx(0.95, abs=0.02)
     again = fit_spread(measured, observer.model, quad_profile.gate, [flight])
-    assert list(again.values()) == pytest.approx([1.0] * len(again), rel=0.02)
+    assert list(again.spread.values()) == pytest.approx([1.0] * len(again.spread), rel=0.02)
+    assert again.moves == pytest.approx(found.moves, rel=0.02)
 
 
 def test_a_size_that_the_samples_hold_is_not_awaited_from_the_observer(quad_profile: Profile, data: Path) -> None:

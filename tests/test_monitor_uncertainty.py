@@ -132,6 +132,20 @@ def test_a_size_is_uncertain_by_what_is_missing_of_a_ramp_and_at_least_by_that_o
     assert sd[-1, 1] == pytest.approx(LAG_S / np.log(2.0), rel=0.05)
 
 
+def test_a_slow_ramp_is_missed_by_its_lag_where_health_is_known_to_wander_slower_than_white_noise(gains: Gains) -> None:
+    sizes, noise = 0.2 * np.arange(800)[:, None] / gains.rate_hz * [0.0, 1.0], np.full((800, 2), 0.1)
+    still = {"sensor": 0.01}
+    white, slow, on_lines = (
+        Uncertainty(AffineObserver([gains]), plant(), NAMES, moves=moves, lines_s=lines_s).of_sizes(
+            noise, sizes, np.ones(800), noise, np.ones_like(noise)
+        )[-1, 1]
+        for moves, lines_s in (({}, {}), (still, {}), (still, {"sensor": 1.2}))
+    )
+    assert white == pytest.approx(0.1)
+    assert slow == pytest.approx(np.hypot(0.1, 0.2 * LAG_S / np.log(2.0)), rel=0.05)
+    assert on_lines == pytest.approx(np.hypot(0.1, 0.2 * (LAG_S / np.log(2.0) + 1.0)), rel=0.05)
+
+
 def test_a_constant_share_of_a_command_does_not_move(gains: Gains) -> None:
     full = np.column_stack([1.0 + 0.5 * np.sin(np.arange(200.0)), np.ones(200)])
     noise = np.full((200, 2), 0.001)

@@ -14,16 +14,18 @@ not have, so the standard deviation of an alarm's size, and of the estimate of a
 with h = max(lag, MOVED T), f the size, lambda the level of this run's residuals (1 in healthy flight, larger in
 gusts), and way what is still missing of f, as its movement tells. Behind a ramp an estimate with a mean delay T is T
 times the slope; after a step, which it approaches as e^(-t / T), it misses less, by the factor (h / T) / (e^(h / T) -
-1). Which of the two a fault is its size does not say. Noise, which the observer alone smooths, moves it by sd_h =
-sqrt(2 (1 - e^(-h / T_own)) lambda P). A size that is a share of a command is one here, too: a constant share does not
-move.
+1). Which of the two a fault is its size does not say. sd_h is what moves a size in healthy flight, as measured there
+(a receiver that wanders moves much less within h than white noise). Where it was not measured, noise moves it that the
+observer alone smooths, sd_h = sqrt(2 (1 - e^(-h / T_own)) lambda P). A size that is a share of a command is one here,
+too: a constant share does not move.
 
 Nothing grows with f itself: where a motor delivers less the model's errors are those of healthy flight at the smaller
 command, and faults of sensors add. On recorded losses of motors the truth was within two of these standard deviations
 97 to 100 % of the time (docs/sizes.md).
 
-T = T_own + lag / log 2. T_own is the mean delay by the error system, of a fault that moves the plant's states: a
-second of slow commands, 2 to 6 s of a gyro's bias that an angle shows.
+T = T_own + lag / log 2, and as much more as a straight line between two measurements lasts longer than between fixes:
+a sample on it is complete only with its end. T_own is the mean delay by the error system, of a fault that moves the
+plant's states: a second of slow commands, 2 to 6 s of a gyro's bias that an angle shows.
 """
 
 from __future__ import annotations
@@ -38,12 +40,15 @@ from gains.plants.discretise import discretise
 from gains.plants.plant import Plant
 from monitor.core.observers import ErrorCovariance, SizeErrors
 from monitor.estimation.bank import owners
+from monitor.estimation.isolation_rule import BankRule, IsolationRule
 from monitor.estimation.observer import Observer
 
 LAG_S = 0.3
 """Time in which half of a step's error fades that is no lag of the observer, seconds. Chosen: smoothing (0.05 to 0.12
 s), motors' lag and the delay of fixes (0.1 to 0.2 s) together. The estimate of a GPS that walks by 0.7 m/s is
 0.4 to 0.5 s behind."""
+_FIXES_S = 0.2
+"""Time between two measurements that :data:`LAG_S` has: that of a receiver with five fixes a second."""
 MOVED = 0.25
 """Time over which the movement of a size is taken, as a share of its delay. Chosen: a longer one tells movement from
 noise more surely; within a shorter one the fault is raised (a gyro's of 5 times its threshold after a fifth)."""
@@ -56,8 +61,11 @@ class Uncertainty:
     """Standard deviations of the fault estimates of one observer or bank, designed for a plant.
 
     ``faults`` are all fault channels (a,) in the order of the estimates, ``scale`` has factors on the standard
-    deviations of the error system, for some of them. ``lag_s`` is :data:`LAG_S`, or the smoothing alone where the model
-    has all other lags. ``of_sizes`` returns the standard deviation of n sizes of alarms, as :class:`SizeErrors` says.
+    deviations of the error system, for some of them. ``moves`` has, for some, how far noise moves an estimate within
+    ``rows`` samples, as a multiple of its standard deviation. ``lines_s`` has, for some, the time between two
+    measurements. ``lag_s`` is :data:`LAG_S`, or the smoothing alone where
+    the model has all other lags. ``of_sizes`` returns the standard deviation of n sizes of alarms, as
+    :class:`SizeErrors` says.
     """
 
     def __init__(
@@ -66,6 +74,8 @@ class Uncertainty:
         plant: Plant | None,
         faults: Sequence[str],
         scale: Mapping[str, float] = MappingProxyType({}),
+        moves: Mapping[str, float] = MappingProxyType({}),
+        lines_s: Mapping[str, float] = MappingProxyType({}),
         lag_s: float = LAG_S,
     ) -> None:
         self._covariance: ErrorCovariance | None = None
@@ -76,11 +86,13 @@ class Uncertainty:
         own_s = np.zeros(len(faults))
         if systems is not None:
             own_s += [systems[k].lag_s[hypotheses[k].faults.index(name)] for name, k in zip(faults, owned, strict=True)]
-        delay_s = own_s + lag_s / np.log(2.0)
-        rows = np.maximum(1, np.rint(np.maximum(lag_s, MOVED * delay_s) * observer.rate_hz)).astype(np.intp)
-        moved_s = rows / observer.rate_hz
+        longer_s = np.maximum(0.0, [lines_s.get(name, 0.0) - _FIXES_S for name in faults])
+        delay_s = own_s + lag_s / np.log(2.0) + longer_s
+        self.rows = np.maximum(1, np.rint(np.maximum(lag_s, MOVED * delay_s) * observer.rate_hz)).astype(np.intp)
+        moved_s = self.rows / observer.rate_hz
         still = np.exp(-moved_s / np.maximum(own_s, 1e-3 * moved_s))
-        self.of_sizes = SizeErrors(rows, delay_s / moved_s, np.sqrt(2.0 * (1.0 - still))).run
+        apart = [moves.get(name, white) for name, white in zip(faults, np.sqrt(2.0 * (1.0 - still)), strict=True)]
+        self.of_sizes = SizeErrors(self.rows, delay_s / moved_s, np.array(apart)).run
         if systems is None:
             return
         # Of each observer only the errors that are coupled with those of its faults: one axis knows nothing of others.
@@ -122,3 +134,8 @@ def _coupled(A: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which errors depend on which, or on the same as these, by any of the matrices (kinds, d, d)."""
     moved = (A != 0.0).any(axis=0)
     return np.linalg.matrix_power(moved | moved.T | np.eye(len(moved), dtype=np.bool_), len(moved))
+
+
+def unmodelled_lag_s(rule: IsolationRule) -> float:
+    """Return the lag of an observer's estimates that its model does not have, seconds."""
+    return LAG_S if isinstance(rule, BankRule) else rule.smoothing_s

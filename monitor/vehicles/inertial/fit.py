@@ -266,10 +266,17 @@ def _designed(
         # without an IMU these estimates show only how far the vehicle is from hovering
         silent = {*MOTION, *GPS_VELOCITY, "accel_z"} | (set() if LEARNED in parameters else set(GYROS))
         alarms = [found for found in alarms if found.rule.channel not in silent]
-    changes, alarms = _sudden(raw, signal_hz, channels, designed, alarms, flights, smallest_faults(fit))
+    watched, signals = {found.rule.channel for found in alarms}, [channel.name for channel in channels.channels]
+    lines_s = {
+        name: _line_s(raw, signals.index(signal), signal_hz)
+        for name, signal in _SUDDEN.items()
+        if name in watched and signal in signals
+    }
+    changes, alarms = _sudden(lines_s if channels.imu else {}, designed, alarms, flights, smallest_faults(fit))
     return replace(
         designed,
-        spread=fit_spread(designed.profile(), plant, gate, flights),
+        **fit_spread(replace(designed, lines_s=lines_s).profile(), plant, gate, flights)._asdict(),
+        lines_s={} if changes else lines_s,
         alarms=tuple(alarms),
         changes=changes,
         envelope=reached(transform.signals, [flight.samples.u[flight.armed] for flight in raw], signal_hz),
@@ -281,9 +288,7 @@ def _designed(
 
 
 def _sudden(
-    raw: Sequence[Flight],
-    signal_hz: float,
-    channels: StrapdownSource,
+    lasts_s: Mapping[str, float],
     designed: Fitted,
     alarms: Sequence[Calibrated],
     flights: Sequence[Flight],
@@ -291,15 +296,8 @@ def _sudden(
 ) -> tuple[ChangeRule | None, list[Calibrated]]:
     """Return the rule for sudden faults of GPS, barometer and compass, and the alarms with that path."""
     rate_hz, plant = designed.gains[0].rate_hz, designed.plant
-    watched = {found.rule.channel for found in alarms}
-    signals = [channel.name for channel in channels.channels]
-    lasts_s = {
-        name: _line_s(raw, signals.index(signal), signal_hz)
-        for name, signal in _SUDDEN.items()
-        if name in watched and signal in signals
-    }
     outputs = [output for output in plant.outputs if output not in ACCELEROMETERS]
-    if rate_hz < NAVIGATED_HZ or not (channels.imu and lasts_s) or bare_positions(plant.inputs, plant.outputs):
+    if rate_hz < NAVIGATED_HZ or not lasts_s or bare_positions(plant.inputs, plant.outputs):
         return None, list(alarms)
     changes = fit_changes(plant, rate_hz, outputs, flights, lasts_s)
     if changes is None:

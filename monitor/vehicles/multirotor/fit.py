@@ -314,7 +314,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
         bare,
         alarms=tuple(alarms),
         changes=changes,
-        spread=fit_spread(bare.profile(), plant, gate, identified.flights),
+        **fit_spread(bare.profile(), plant, gate, identified.flights)._asdict(),
         flight_s=sum(len(segment.u) for segment in segments) / model.rate_hz,
         findings={
             "rate_hz": model.rate_hz,
