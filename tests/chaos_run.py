@@ -74,6 +74,11 @@ class Monitor:
         own = [event for event in self.hear() if event.vehicle == name_of(system) and event.state == "raised"]
         return [event for event in own if event.observer != "link"]
 
+    def silent(self) -> set[str]:
+        """Return the vehicles whose telemetry is missing by the last alarm event about it."""
+        latest = {event.vehicle: event.state for event in self.hear() if event.kind == "stale"}
+        return {vehicle for vehicle, state in latest.items() if state != "cleared"}
+
     def settled_size(self, raised: AlarmEvent) -> float | None:
         """Return an alarm's size as told last within 1.5 s: updates come once a second, the first size is rough."""
         until_ms = raised.vehicle_time_ms + 1500
@@ -114,9 +119,7 @@ def start(folder: Path, config: Path) -> subprocess.Popen[str]:
 @contextmanager
 def monitoring(folder: Path, systems: Sequence[int], more: str = "") -> Iterator[Monitor]:
     """Run a daemon for these vehicles, with journal, recordings, clips and a signing key, and a client of it."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        udp = f"127.0.0.1:{probe.getsockname()[1]}"
+    udp = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     key = folder / "signing.key"
     key.write_bytes(KEY.secret)
@@ -174,11 +177,9 @@ def suffer(folder: Path, sufferers: Sequence[Sufferer]) -> Run:
         finally:
             sender.kill()
             sender.wait()
-        stale = {name_of(system) for system in systems}
         # The end of the telemetry is told like any silence: all that was sent before has been heard then.
-        waits(lambda: all(one["state"] == "stale" for one in monitor.statuses.values()), f"stale: {stale}")
-        time.sleep(1.2)
-        monitor.hear()
+        waits(lambda: all(one["state"] == "stale" for one in monitor.statuses.values()), "statuses: stale")
+        waits(lambda: monitor.silent() >= {name_of(system) for system in systems}, "alarms: stale")
         status = monitor.stop()
         return Run(monitor, {int(system): count for system, count in json.loads(said).items()}, status)
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import zenoh
+from daemons import free_ports
 
 from adapters.zenoh.zenoh_session import open_session
 from monitor.bus.subscriber import AlarmSubscriber
@@ -73,9 +74,7 @@ def publisher(session: zenoh.Session, key: str) -> Any:
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
     """Return a port of loopback that nobody listens on."""
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return free_ports(1, kind)[0]
 
 
 class Endpoint:
