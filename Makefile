@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 CORE := $(wildcard adapters/mavlink/*.pyx monitor/core/*.pyx monitor/core/*.pxd)
 
 # Four processes for two cores: a third of what the suite takes is waiting for daemons, in real time, and for networks. Files
-# of such tests are spread over the others (tests/conftest.py). Another process collects all tests for itself, 4 s.
+# of such tests are spread over the others (tests/conftest.py). Another process collects all tests for itself, 3 s.
 PYTEST := $(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder
 
 # The compiled core in place, for whoever works on it.

@@ -347,7 +347,7 @@ def _columns(positions: list[int], group: list[Message]) -> Columns | None:
         return None
     if any(message.source is not first.source or tuple(message.fields) != names for message in group):
         return None
-    arrays = [_numbers([message.fields[name] for message in group]) for name in names]
+    arrays = [_numbers(values) for values in zip(*[message.fields.values() for message in group], strict=True)]
     received_ns = _numbers([message.received_ns for message in group])
     if received_ns is None:
         return None
@@ -365,10 +365,10 @@ def _columns(positions: list[int], group: list[Message]) -> Columns | None:
     )
 
 
-def _numbers(values: list[Any]) -> NDArray[np.generic] | None:
+def _numbers(values: Sequence[Any]) -> NDArray[np.generic] | None:
     """Return an array whose rows reproduce the values exactly, or None if there is none."""
     kind = type(values[0])
-    if any(type(value) is not kind for value in values):
+    if {*map(type, values)} != {kind}:
         return None
     if kind is list:
         length = len(values[0])
