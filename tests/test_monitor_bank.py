@@ -400,6 +400,16 @@ def test_outside_of_the_fitted_flights_only_so_much_larger_estimates_are_given_b
     assert given[1] == -1.0
 
 
+@pytest.mark.parametrize("by", [0, 1])
+def test_what_another_fault_explained_is_not_restored_as_a_washed_out_one(by: int) -> None:
+    """Of 8 m, washed out within 30 s at 10 Hz, the first 90 s are believed to be left's or right's."""
+    left, right = [0.1, 100.0, 100.0], [100.0, 0.1, 100.0]
+    size = np.outer(8.0 * np.exp(-np.arange(1000) / 300.0), np.ones(4))
+    run = Choices(washed=washout_inverse(30.0, 10.0, 1.5)).run([*[right if by else left] * 900, *[left] * 100], size)
+    # what is below half of the threshold is not restored
+    assert run.evidence[-1, 0] == pytest.approx(size[-1, 0] if by else 8.0, abs=0.75)
+
+
 @pytest.mark.parametrize("unseen", [200, 400])
 @pytest.mark.parametrize("resumed", [True, False])
 def test_a_faded_fault_is_kept_over_a_gap_until_it_ends_or_is_let_go_as_not_known(unseen: int, resumed: bool) -> None:

@@ -472,15 +472,22 @@ cdef class Choice:
         """Invert the washouts of all faults; those of the believed hypothesis become evidence."""
         cdef Py_ssize_t i, j, channel
         cdef double size
+        cdef Py_ssize_t holding = 0
+        cdef bint is_believed
         cdef Washout washout
         for i in range(self.remembered.shape[0]):
+            holding += (<Washout> self.washouts[i]).holds()
+        for i in range(self.remembered.shape[0]):
             channel, washout = self.washed[i], <Washout> self.washouts[i]
-            size = washout.update(self.fault[self.shown[channel]], beyond)
+            is_believed = False
+            for j in range(self.spans[self.believed], self.spans[self.believed + 1]):
+                is_believed |= self.channel[j] == channel
+            if holding <= washout.holds():
+                washout.forget_others()
+            size = washout.update(self.fault[self.shown[channel]], beyond, is_believed)
             self.remembered[i] = fabs(size) > beyond * washout.threshold
-            if explained:
-                for j in range(self.spans[self.believed], self.spans[self.believed + 1]):
-                    if self.channel[j] == channel:
-                        self.evidence[channel] = size
+            if explained and is_believed:
+                self.evidence[channel] = size
 
     cdef void watch_edges(self, const double[:, :] fault, Py_ssize_t row, bint complete) noexcept:
         """Set the evidence of sensors to the edges of their estimates; an edge that is held explains the data."""
@@ -635,7 +642,9 @@ cdef class Washout:
     - |f_w| > threshold / 2: the integral runs (trapezoidal rule), and f = f_w + integral / tau;
     - |f_w| <= threshold / 2 again while f is still large: the fault lasts, fully washed out, and the integral is held
       for ``longest`` rows. After that no measurement supports the fault any more: it is let go, but remembered, so that
-      its end, an opposite step of its size, is not taken for a new fault;
+      its end, an opposite step of its size, is not taken for a new fault. An integral most of which was gathered while
+      a fault that does not wash out explained the measurements is forgotten at once: it is no memory of this one. (That
+      of one that does is kept until the other's end, which is an opposite step here, too);
     - a gap, after which all positions begin anew: the fault is held likewise, as if it had been washed out;
     - |f| within the threshold again, or within a tenth of its peak (errors of a tenth leave as much; within half of it
       if the fault may have changed in a gap): the fault is over. The result is zero until |f_w| has stayed small for
@@ -653,7 +662,9 @@ cdef class Washout:
     """
 
     cdef readonly double threshold, peak
-    cdef double share, before, integral, gone
+    # The integral, and the part of it that was gathered while another fault was believed.
+    cdef double integral, others
+    cdef double share, before, gone
     cdef Py_ssize_t settle, longest, still, moving, ended
     # The share of the peak within which the fault is over.
     cdef double left
@@ -663,14 +674,24 @@ cdef class Washout:
         self.clear()
 
     cdef void clear(self) noexcept:
-        self.before = self.integral = self.peak = self.gone = 0.0
+        self.before = self.integral = self.others = self.peak = self.gone = 0.0
         self.still = self.moving = self.ended = 0
         self.left = WASHOUT_OVER
+
+    cdef bint holds(self) noexcept:
+        """Return whether a fault was seen, and its end not yet."""
+        return self.peak != 0.0 or self.gone != 0.0
+
+    cdef void forget_others(self) noexcept:
+        """Forget, once it is small, an integral most of which was gathered while another fault was believed."""
+        if self.still and fabs(self.others) > 0.5 * fabs(self.integral):
+            self.integral = self.peak = 0.0
 
     cdef bint resume(self) noexcept:
         """Go on after a gap in which the estimate began anew; return whether a fault is held."""
         cdef bint lasts = self.peak != 0.0 and self.ended == 0
         self.integral = self.before + self.integral if lasts else 0.0
+        self.others = 0.0
         self.peak = self.peak if lasts else 0.0
         self.before, self.left = 0.0, WASHOUT_RETURNED
         self.moving = self.ended = 0
@@ -682,19 +703,22 @@ cdef class Washout:
         result = np.empty(washed.shape[0])
         cdef double[::1] fault = result
         for k in range(washed.shape[0]):
-            fault[k] = self.update(washed[k], 1.0)
+            fault[k] = self.update(washed[k], 1.0, True)
         return result
 
-    cdef double update(self, double washed, double beyond) noexcept:
-        """Process one row's estimate f_w; return f = f_w + integral / tau.
+    cdef double update(self, double washed, double beyond, bint is_believed) noexcept:
+        """Process one row's estimate f_w, whether this or another fault is believed; return f = f_w + integral / tau.
 
         ``beyond`` is the factor by which errors, and so the threshold, are larger outside of the fitted flights.
         """
         cdef double threshold = beyond * self.threshold
         cdef bint moves = fabs(washed) > WASHOUT_QUIET * threshold, over
-        cdef double fault, size
+        cdef double fault, size, gained = self.share * (washed + self.before)
         if moves:
-            self.integral += self.share * (washed + self.before)
+            self.integral += gained
+            self.others += 0.0 if is_believed else gained
+        if self.integral == 0.0:
+            self.others = 0.0
         self.still, self.moving = 0 if moves else self.still + 1, self.moving + 1 if moves else 0
         self.before = washed
         fault = washed + self.integral
