@@ -155,10 +155,18 @@ def test_the_end_of_a_fault_that_another_observer_followed_is_no_jump_the_other_
 
 
 @pytest.mark.parametrize(
-    ("precedes", "seconds", "states"),
-    [(True, 4.0, ["cleared", "updated"]), (True, 12.0, []), (False, 4.0, [])],
+    ("precedes", "gone", "seconds", "states"),
+    [
+        (True, False, 4.0, ["cleared", "updated"]),
+        (True, False, 12.0, []),
+        (False, False, 4.0, []),
+        (True, True, 4.0, ["updated"]),
+        (True, True, 14.0, []),
+    ],
 )
-def test_an_alarm_that_came_first_ends_as_a_consequence(precedes: bool, seconds: float, states: list[str]) -> None:
+def test_an_alarm_that_came_first_ends_as_a_consequence_or_is_listed_if_it_has_gone(
+    precedes: bool, gone: bool, seconds: float, states: list[str]
+) -> None:
     excuses = Excuses((ExcuseRule(("steering",), ("gyro_z",), 4.0, precedes=precedes),))
     steering, gyro = (
         Alarm(AlarmRule("drive", name, "sensor", "", 1.0, 0.5, 5.0, raise_s=0.1, clear_s=0.1), "v")
@@ -167,15 +175,17 @@ def test_an_alarm_that_came_first_ends_as_a_consequence(precedes: bool, seconds:
     for alarm in (steering, gyro):
         name = alarm.rule.channel
         excuses.add(name, alarm.state, affect=alarm.affect, withdraw=alarm.withdraw)
-    steering.adopt(replace(event("steering", "raised", 1.0), since_ns=1_000_000_000))
+    if gone:
+        excuses.follow(event("steering", "cleared", 3.0))
+    else:
+        steering.adopt(replace(event("steering", "raised", 1.0), since_ns=1_000_000_000))
     cause = replace(event("gyro_z", "raised", seconds), time_ns=round(seconds * 1e9))
     gyro.adopt(cause)
     excuses.follow(cause)
     events = excuses.consequences(cause)
     assert [found.state for found in events] == states
-    assert steering.state.active is not bool(states)
-    if states:
-        assert [found.message for found in events] == ["explained by gyro_z", "; affected: steering"]
+    assert steering.state.active is not (gone or bool(states))
+    assert [found.message for found in events] == ["explained by gyro_z", "; affected: steering"][2 - len(states) :]
 
 
 def test_two_alarms_of_one_channel_both_have_to_clear() -> None:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from adapters.message import LATEST_NS
 from adapters.toml_tables import Table
+from monitor.alarms.alarm import LATELY_NS
 from monitor.core.alarms import AlarmState
 from monitor.estimation.bank import HOLD_S
 from monitor.event import AlarmEvent
@@ -128,17 +129,21 @@ class Excuses:
         return None
 
     def consequences(self, event: AlarmEvent) -> list[AlarmEvent]:
-        """End the alarms that a newly raised alarm explains; return the events.
+        """End the alarms that a newly raised alarm explains, and list those that ended by themselves lately.
 
-        Call :meth:`follow` for that alarm first.
+        Return the events. Call :meth:`follow` for that alarm first.
         """
-        events: list[AlarmEvent] = []
+        events: list[AlarmEvent | None] = []
+        vehicle_ns = event.vehicle_time_ms * 1_000_000
         rules = self._rules.items() if event.state == "raised" else ()
         for channel in (name for name, of in rules if any(event.channel in rule.by for rule in of if rule.precedes)):
             for withdraw in self._withdraw.get(channel, ()):
-                ended = withdraw(event.time_ns, event.vehicle_time_ms * 1_000_000, f"explained by {event.channel}")
+                ended = withdraw(event.time_ns, vehicle_ns, f"explained by {event.channel}")
                 events += self.consequence(ended)
-        return events
+                cleared_ns = self._cleared_ns.get(channel, -LATEST_NS)
+                if ended is None and not self._active.get(channel) and 0 <= vehicle_ns - cleared_ns <= LATELY_NS:
+                    events.append(self.explained(channel, event.time_ns, vehicle_ns))
+        return [listed for listed in events if listed is not None]
 
     def consequence(self, ended: AlarmEvent | None, alarm: AlarmState | None = None) -> list[AlarmEvent]:
         """Follow the end of an alarm that another one explains.
