@@ -18,7 +18,7 @@ from adapters.mavlink.signing import SigningGuard
 from adapters.message import Message, silence
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
-from monitor.profile import Profile, read_profile
+from monitor.profile import Profile
 
 START_NS = 1_795_251_917_265_689_600
 TENTH_NS = 100_000_000
@@ -35,8 +35,8 @@ ONSET_KNOWN_MS = 20
 
 
 @pytest.fixture(scope="module")
-def profile() -> Profile:
-    return read_profile(QUAD)
+def profile(bundled_quad: Profile) -> Profile:
+    return bundled_quad
 
 
 def packets_of(log: Path, distortion: str) -> list[Due]:

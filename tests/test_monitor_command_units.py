@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,15 +13,10 @@ from numpy.typing import NDArray
 
 from monitor.chain import CommandRun, CommandUnits
 from monitor.core.observers import CommandScale
-from monitor.profile import ObserverProfile, Profile, read_profile
+from monitor.profile import ObserverProfile, Profile
 
 COUNT = 40
 Array = NDArray[np.float64]
-
-
-@pytest.fixture(scope="module")
-def quad() -> Profile:
-    return read_profile(Path(__file__).parent.parent / "replay" / "data" / "quad")
 
 
 def observer(profile: Profile, name: str, curve: list[float], smoothing_s: float) -> ObserverProfile:
@@ -75,7 +69,7 @@ def test_a_linear_input_only_changes_units() -> None:
     ),
 )
 def test_cuts_do_not_change_a_bit(
-    quad: Profile,
+    bundled_quad: Profile,
     curve: list[float],
     name: str,
     parts: list[slice],
@@ -84,7 +78,7 @@ def test_cuts_do_not_change_a_bit(
     smoothing_s: float,
     odd: list[tuple[int, int, float]],
 ) -> None:
-    profile, rng = observer(quad, name, curve, smoothing_s), np.random.default_rng(seed)
+    profile, rng = observer(bundled_quad, name, curve, smoothing_s), np.random.default_rng(seed)
     count = len(profile.faults)
     u = rng.uniform(-0.1, 1.0, (COUNT, len(profile.gains[0].inputs)))
     fault, evidence, sd = rng.normal(scale=0.3, size=(3, COUNT, count))
@@ -101,8 +95,8 @@ def test_cuts_do_not_change_a_bit(
     assert [column.tobytes() for column in rows] == before
 
 
-def test_what_scales_no_input_keeps_its_unit(quad: Profile) -> None:
-    profile = observer(quad, "inertial", [2.0], 0.0)
+def test_what_scales_no_input_keeps_its_unit(bundled_quad: Profile) -> None:
+    profile = observer(bundled_quad, "inertial", [2.0], 0.0)
     ones = np.ones((2, len(profile.faults)))
     found = CommandUnits(profile).run(
         np.ones((2, len(profile.gains[0].inputs))), np.ones(2, np.bool_), ones, ones, ones

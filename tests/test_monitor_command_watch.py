@@ -30,7 +30,7 @@ from monitor.alarms.command_watch import (
 from monitor.alarms.desk import DeskRule
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, rules_message
-from monitor.profile import Profile, read_profile
+from monitor.profile import Profile
 from replay.player import play
 from replay.review.review import review_log
 
@@ -160,8 +160,8 @@ def test_commands_to_others_are_none(profile: Profile) -> None:
 
 
 @pytest.fixture(scope="module")
-def profile() -> Profile:
-    return read_profile(QUAD)
+def profile(bundled_quad: Profile) -> Profile:
+    return bundled_quad
 
 
 @pytest.fixture(scope="module")

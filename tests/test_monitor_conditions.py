@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,10 +19,9 @@ from monitor.conditions.load import Load
 from monitor.conditions.pressure import Pressure
 from monitor.conditions.wind import Wind
 from monitor.core.sampling import VehicleClock
-from monitor.profile import read_profile
+from monitor.profile import Profile
 from monitor.sampling.phase import FlightPhase
 
-PROFILE = read_profile(Path(__file__).parent.parent / "replay" / "data" / "quad")
 HOVER = HalfSecond(0, 0, math.log(0.5), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), 0.0, 10.0, 10.0)
 
 
@@ -128,8 +126,8 @@ def flown(count: int) -> Samples:
     return Samples(**{field.name: (known | blank | times).get(field.name, ones) for field in fields(Samples)})
 
 
-def followed(cuts: list[int]) -> list[FlightCondition]:
-    conditions = make_conditions(PROFILE, VehicleClock())
+def followed(profile: Profile, cuts: list[int]) -> list[FlightCondition]:
+    conditions = make_conditions(profile, VehicleClock())
     assert isinstance(conditions, Conditions)
     samples, phase = flown(600), FlightPhase()
     for start, stop in zip([0, *cuts], [*cuts, len(samples)], strict=True):
@@ -139,7 +137,7 @@ def followed(cuts: list[int]) -> list[FlightCondition]:
 
 @given(st.lists(st.integers(0, 600), max_size=8))
 @settings(max_examples=8)
-def test_conditions_do_not_depend_on_how_samples_are_cut(cuts: list[int]) -> None:
-    whole = followed([])
+def test_conditions_do_not_depend_on_how_samples_are_cut(bundled_quad: Profile, cuts: list[int]) -> None:
+    whole = followed(bundled_quad, [])
     assert [one.name for one in latest_conditions(whole)] == ["payload"]
-    assert followed(sorted(cuts)) == whole
+    assert followed(bundled_quad, sorted(cuts)) == whole

@@ -192,17 +192,13 @@ def same(name: str, one: list[np.ndarray], other: list[np.ndarray]) -> None:
     assert not differs.size, f"{name} differs first at {differs[0]} of {found.size}"
 
 
-@pytest.fixture(scope="module")
-def quad() -> Profile:
-    return read_profile(QUAD)
-
-
 @pytest.mark.parametrize("distortion", DISTORTIONS, ids=lambda one: one.__name__)
 def test_single_messages_give_the_bits_of_one_large_batch_on_a_distorted_flight(
-    quad: Profile, data: Path, distortion: Distortion
+    bundled_quad: Profile, data: Path, distortion: Distortion
 ) -> None:
     messages = distortion(list(read_recording(data / "copter_5s.tlog.xz")), random.Random(1))
-    assert_same(in_batches(quad, messages, range(len(messages) // 2, len(messages))), in_batches(quad, messages), quad)
+    singly = in_batches(bundled_quad, messages, range(len(messages) // 2, len(messages)))
+    assert_same(singly, in_batches(bundled_quad, messages), bundled_quad)
 
 
 @pytest.mark.parametrize("name", ["copter_motor2_080", "copter_gyro1_bias"])
@@ -220,10 +216,10 @@ def test_batches_as_a_daemon_collects_them_give_the_bits_of_large_ones(
     cuts=st.lists(st.integers(0, 12_000), max_size=6), seed=st.integers(0, 9), distortion=st.sampled_from(DISTORTIONS)
 )
 def test_it_does_not_matter_where_batches_end(
-    quad: Profile, data: Path, cuts: list[int], seed: int, distortion: Distortion
+    bundled_quad: Profile, data: Path, cuts: list[int], seed: int, distortion: Distortion
 ) -> None:
     messages = distortion(list(read_recording(data / "copter_5s.tlog.xz")), random.Random(seed))
-    assert_same(in_batches(quad, messages, cuts), in_batches(quad, messages), quad)
+    assert_same(in_batches(bundled_quad, messages, cuts), in_batches(bundled_quad, messages), bundled_quad)
 
 
 def test_cuts_do_not_matter_while_a_vehicle_is_not_watched(quad_profile: Profile, data: Path) -> None:
@@ -244,11 +240,11 @@ def test_cuts_do_not_matter_for_the_arm(arm_profile: Profile) -> None:
     assert_same(in_batches(arm_profile, messages, range(0, 2000, 3)), in_batches(arm_profile, messages), arm_profile)
 
 
-def test_messages_of_strangers_are_counted_whether_they_are_columns_or_not(quad: Profile, data: Path) -> None:
+def test_messages_of_strangers_are_counted_whether_they_are_columns_or_not(bundled_quad: Profile, data: Path) -> None:
     messages = list(read_recording(data / "copter_5s.tlog.xz"))
     for place in (600, 400):
         messages.insert(place, Message(MAVLINK, "STATUSTEXT", messages[place].received_ns, {"text": "x"}, 9, 1))
         messages.insert(place, Message(MAVLINK, "ATTITUDE", messages[place].received_ns, {"roll": "x"}, 9, 1))
-    whole = in_batches(quad, messages)
+    whole = in_batches(bundled_quad, messages)
     assert whole.pipeline.foreign >= 4
-    assert_same(in_batches(quad, messages, [300, 500, 601]), whole, quad)
+    assert_same(in_batches(bundled_quad, messages, [300, 500, 601]), whole, bundled_quad)

@@ -40,6 +40,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory, data: Path) -> dict[str, Path
     return found
 
 
+@cache
 def shipped() -> Profile:
     return read_profile(Path(fauio.__file__).parent / "replay" / "data" / "quad")
 
