@@ -613,7 +613,8 @@ recorded faults of [detection](detection.md) and [rates](rates.md) have both rea
 
 ## What is wrong
 
-"not alone" means that other channels were named too, and not listed under the right one later ("explained by").
+"not alone" means that other channels were named too, and not listed under the right one later ("explained by",
+"affected").
 """
 
 SIZES_INTRODUCTION = f"""# How true the standard deviations are
