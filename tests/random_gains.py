@@ -51,6 +51,7 @@ def random_gains(
         L_p=nothing,
         L1=nothing,
         L_q=nothing,
+        L_z=nothing,
         F_q=nothing,
         F=nothing,
         N=nothing,

@@ -24,7 +24,7 @@ T = TypeVar("T")
 _Read = Callable[..., Any]
 
 _BYTE: Mapping[str, Any] = {"at_least": 0, "at_most": 255}  # an id of MAVLink
-_COUNT: Mapping[str, Any] = {"at_least": 1}
+_COUNT: Mapping[str, Any] = {"at_least": 1}  # a number of things, of which there has to be one
 
 
 class Entry(NamedTuple):

@@ -79,6 +79,7 @@ def excitation_table(rule: ExcitationRule) -> dict[str, Any]:
     return {"outputs": list(rule.outputs)} | {key: getattr(rule, key) for key in _NUMBERS}
 
 
+# What excites the noise: its name, the unit in which people read it, and how many of these a 1 is.
 _SIZES = (
     ("rate", "rad/s", 1.0),
     ("change of a command", "%", 100.0),
