@@ -192,8 +192,10 @@ cdef class ChangeTest:
     cdef bint driven
     # Indices of nonzero columns of matrices, row after row, and where those of each row begin.
     cdef Py_ssize_t[::1] from_y, of_y, from_v, of_v, from_nu, of_nu, from_h, of_h
-    # Response of e to each hypothesis by the age of its onset; that of losses is for the latest row (H, p, D).
+    # Response of e to each hypothesis by the age of its onset; that of losses is for the latest row (H, p, D). It is
+    # the same at all ages from the last of ``settling`` on.
     cdef double[:, :, ::1] course
+    cdef Py_ssize_t[::1] settling
     # Kept from row to row in rings, the newest at ``row``: v, v after the lag, innovations, |y| and |B dv|.
     cdef double[:, ::1] v, acting, innovation, excited
     cdef double[::1] last_y, most_excited, whitened, sigma, level
@@ -268,6 +270,10 @@ cdef class ChangeTest:
         lost = np.ones((self.D, 3 * self.m, self.p))
         self.course = np.ascontiguousarray(np.concatenate([lost, additions], axis=1).transpose(1, 2, 0))
         self.of_h, self.from_h = _nonzero(np.abs(self.course).max(axis=2))
+        self.settling = np.repeat([self.depth, self.P + 1, self.D], self.m).astype(np.intp)
+        changes = np.abs(additions - additions[self.D - 1 :]) > NEARLY * np.abs(additions).max(axis=0)
+        latest = np.max(np.arange(1, self.D + 1)[:, None] * changes.any(axis=2), axis=0)
+        self.settling = np.concatenate([self.settling, latest + 1])
         self.told = np.zeros(self.H, np.intp)
         self.impulse = self._impulse(np.asarray(dynamics), np.asarray(taps), np.asarray(whitening))
         self.direct = self._impulse(np.asarray(dynamics), np.ones(1), np.asarray(whitening))
@@ -534,25 +540,27 @@ cdef class ChangeTest:
             source = self.actuators[j]
             for i in range(self.p):
                 partial = behind = delayed = 0.0
-                for age in range(self.D):
-                    if age < self.depth:
-                        # Response to a loss that began ``age`` rows ago: v from before the loss acts in full.
-                        value = self.impulse[age, j, i] * self.v[back(newest, age + 1, self.length), source]
-                        partial += value
-                        delayed += self.since[age] * value
-                    if age <= self.P:
-                        behind += self.direct[age, j, i] * self.acting[back(newest, age, self.length), source]
-                    self.course[j, i, age], self.course[self.m + j, i, age] = partial, behind
+                for age in range(self.depth):
+                    # Response to a loss that began ``age`` rows ago: v from before the loss acts in full.
+                    value = self.impulse[age, j, i] * self.v[back(newest, age + 1, self.length), source]
+                    partial += value
+                    delayed += self.since[age] * value
+                    self.course[j, i, age] = partial
                     self.course[2 * self.m + j, i, age] = self.since[age] * partial - delayed
+                for age in range(self.depth, self.D):
+                    self.course[2 * self.m + j, i, age] = self.since[age] * partial - delayed
+                for age in range(self.P + 1):
+                    behind += self.direct[age, j, i] * self.acting[back(newest, age, self.length), source]
+                    self.course[self.m + j, i, age] = behind
 
     cdef void add_row(self, Py_ssize_t h) noexcept:
         """Add s'z and s's of a hypothesis to the onsets."""
-        cdef Py_ssize_t d, i, last = self.D - 1, count = min(self.begun, self.D)
+        cdef Py_ssize_t d, i, last = self.settling[h] - 1, count = min(self.begun, self.settling[h])
         cdef bint grows = 2 * self.m <= h < 3 * self.m
         cdef double along = 0.0, square = 0.0
         cdef double* moment = &self.moment[h, self.newest]
         cdef double* information = &self.information[h, self.newest]
-        if self.D < self.window and not grows:
+        if last < self.window - 1 and not grows:
             for d in range(self.from_h[h], self.from_h[h + 1]):
                 i = self.of_h[d]
                 along += self.pull[i] * self.course[h, i, last]
@@ -567,7 +575,8 @@ cdef class ChangeTest:
             along = square = 0.0
         if grows and self.begun > count:
             for i in range(self.p):
-                self.start[i], self.slope[i] = self.course[h, i, last], self.course[h - 2 * self.m, i, last]
+                self.start[i] = self.course[h, i, last]
+                self.slope[i] = self.course[h - 2 * self.m, i, self.depth - 1]
             add_growing(moment + count, information + count, &self.since[1], self.begun - count, &self.start[0],
                         &self.slope[0], &self.pull[0], &self.weight[0], self.p)
 
