@@ -124,18 +124,18 @@ def messages(batch: Batch) -> Iterator[Message]:
     """Yield the messages of a batch one by one, in the order of arrival."""
     following = {position: iter((message,)) for position, message in batch.others.items()}
     for columns in batch.columns:
-        following |= dict.fromkeys(columns.position.tolist(), _each(columns))
+        following |= dict.fromkeys(columns.position.tolist(), each(columns))
     for position in sorted(following):
         yield next(following[position])
 
 
-def _each(columns: Columns) -> Iterator[Message]:
+def each(columns: Columns) -> Iterator[Message]:
     """Yield the messages of columns; all values of a field are converted to Python objects at once."""
     source, name, system, component = columns.source, columns.name, columns.system, columns.component
-    values = [field.tolist() for field in columns.fields.values()]
+    names, values = tuple(columns.fields), [field.tolist() for field in columns.fields.values()]
     rows = zip(*values, strict=True) if values else repeat(())
     for received_ns, row in zip(columns.received_ns.tolist(), rows, strict=False):
-        yield Message(source, name, received_ns, dict(zip(columns.fields, row, strict=True)), system, component)
+        yield Message(source, name, received_ns, dict(zip(names, row, strict=True)), system, component)
 
 
 def one_message(columns: Columns, row: int) -> Message:
@@ -222,7 +222,7 @@ def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch
         if _same_form(before, group):
             kept[group.name, group.system, group.component] = _in_order(_concatenated([(0, before), (0, group)]))
         else:
-            others.update((int(group.position[row]), one_message(group, row)) for row in range(len(group.position)))
+            others.update(zip(group.position.tolist(), each(group), strict=True))
     indices = np.concatenate([np.array([*others], np.int64), *(group.position for group in kept.values())])
     # indices may have large gaps: only their order counts
     rank = np.empty(len(indices), np.int64)
@@ -271,8 +271,7 @@ def joined(batches: Sequence[Batch]) -> Batch:
             if not alike or _same_form(alike[0][1], columns):
                 alike.append((count, columns))
             else:
-                rows = enumerate(columns.position.tolist())
-                others.update((count + position, one_message(columns, row)) for row, position in rows)
+                others.update(zip((count + columns.position).tolist(), each(columns), strict=True))
         others.update((count + position, message) for position, message in batch.others.items())
         count += batch.count
     return Batch(count, tuple(_concatenated(alike) for alike in parts.values()), others)

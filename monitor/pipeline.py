@@ -106,6 +106,8 @@ class Pipeline:
     ----------
     system : int
         The MAVLink system id to monitor; 0: the first that sends a channel, which it becomes.
+    interests : frozenset[str]
+        Names of the messages that matter.
     desk : AlarmDesk
         The active alarms and what operators did with them; messages change them.
     foreign : int
@@ -144,16 +146,13 @@ class Pipeline:
             # alarms of the pipeline itself; they come after those of the observers
             self._samplers.append(self._conditions.sampler)
             self._stages.append(self._conditions)
-        self._wanted = frozenset[str]().union(*(chain.sampler.interests for chain in self._chains))
-        if any(observer.supply is not None for observer in profile.observers):
-            self._wanted |= {BATTERY_MESSAGE}
+        self._wanted, self.interests = _carriers(profile), interests_of(profile)
         self._stale = StaleAlarm(self.vehicle, profile.stale_s)
         self._commands, self._streams = CommandWatch(), StreamFilter()
         self._blind = BlindAlarm(self.vehicle, self._chains)
         self.desk = AlarmDesk(self.vehicle, DeskRule(), general_of(profile.excuses))
         self.system = profile.system if system is None else system
         self._component = component
-        self._interests = self.interests
         self._down_ns: int | None = None  # time since which the vehicle reports that its flight is over
         self._grounded_ns = 0  # when it began to report that it does not fly
         self._driven_ns: int | None = None  # when to compare the commands, or the speed, with that report
@@ -168,12 +167,6 @@ class Pipeline:
         self._begun_ns, self._due_ns = LATEST_NS, 0
         self.foreign = 0
         self.contradictions: Sequence[str] = ()
-
-    @property
-    def interests(self) -> frozenset[str]:
-        """Names of the messages that matter; all other messages may be skipped without changing a result."""
-        own = {SILENCE, "signing", SEQUENCE, RULES, STANDING, "ack", "shelve", "unshelve", RESET}
-        return self._wanted | FlightPhase.interests | COMMANDS | own
 
     @property
     def needs(self) -> Mapping[str, frozenset[str]]:
@@ -322,7 +315,7 @@ class Pipeline:
     def _run_accepted(self, batch: Batch, outputs: list[Estimates | AlarmEvent]) -> None:
         """Process the messages of a batch that matter, and count those of other senders."""
         arrivals = Arrivals(
-            batch, self._interests, self._wanted, self.system, self._component, self._phase, self._streams
+            batch, self.interests, self._wanted, self.system, self._component, self._phase, self._streams
         )
         self.foreign += arrivals.foreign
         # The segment of the batch before goes on, unless the clock was set back since it began.
@@ -640,6 +633,19 @@ class Pipeline:
 
 def _commands(message: Message) -> bool:
     return message.source is MAVLINK and message.name in COMMANDS
+
+
+def interests_of(profile: Profile) -> frozenset[str]:
+    """Return the names of the messages that a profile's pipeline reads; skipping all others changes no result."""
+    own = {SILENCE, "signing", SEQUENCE, RULES, STANDING, "ack", "shelve", "unshelve", RESET}
+    return _carriers(profile) | FlightPhase.interests | COMMANDS | own
+
+
+def _carriers(profile: Profile) -> frozenset[str]:
+    """Return the names of the messages that carry what observers measure."""
+    carriers = {channel.message for observer in profile.observers for channel in observer.source.channels}
+    has_supply = any(observer.supply is not None for observer in profile.observers)
+    return frozenset(carriers | {BATTERY_MESSAGE} if has_supply else carriers)
 
 
 def rules_message(rule: DeskRule, profile: Profile, now_ns: int, system: int = 0) -> Message:

@@ -19,7 +19,7 @@ from monitor.blind import CHANNEL, OBSERVER
 from monitor.conditions.condition import FlightCondition
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
-from monitor.pipeline import Pipeline
+from monitor.pipeline import Pipeline, interests_of
 from monitor.profile import Profile
 from monitor.sampling.sampler import SamplerStatistics
 from monitor.trace import MAX_ROWS, Trace, TraceBuilder, alarm_spans
@@ -211,4 +211,4 @@ def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Archive:
 
 def interests(profile: Profile) -> frozenset[str]:
     """Return the names of the messages that a profile's pipeline reads; skipping all others changes no result."""
-    return Pipeline(profile).interests
+    return interests_of(profile)

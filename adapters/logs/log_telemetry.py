@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, Columns, arrival_times, cut, gathered, one_message, rows_of
+from adapters.batch import Batch, Columns, arrival_times, cut, each, gathered, one_message, rows_of
 from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, Angle, follow
 from adapters.logs.log_mapping import PARAMETERS, FieldRule, LogMapping, MessageRule
 from adapters.logs.log_parameters import parameter
@@ -571,7 +571,7 @@ class _Recorded:
         if len(groups) == 1 and not others:
             return cls(groups[0].position, groups[0].received_ns, groups[0], ())
         for group in groups:
-            others |= {int(at): one_message(group, row) for row, at in enumerate(group.position)}
+            others |= zip(group.position.tolist(), each(group), strict=True)
         at = sorted(others)
         messages = [others[position] for position in at]
         times_ns = np.array([message.received_ns for message in messages], np.int64)

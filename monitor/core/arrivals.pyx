@@ -4,12 +4,13 @@
 A segment is processed at once: a message, and the following ones that only bring measurements.
 """
 
+from bisect import bisect_left
 from copy import copy
 from typing import NamedTuple
 
 import numpy as np
 
-from adapters.batch import Batch, Columns, one_message
+from adapters.batch import Batch, Columns, each
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
 from monitor.alarms.command_watch import COMMANDS, commanded_systems
@@ -61,12 +62,14 @@ cdef class Arrivals:
     cdef Py_ssize_t _count
     cdef Arrival* _arrivals
     cdef list _owners
+    # Messages that tell the flight phase or command the vehicle, by their indices, and these indices in order.
     cdef dict _reports
+    cdef list _reported
 
     def __init__(self, batch, names, wanted, int system, int component, phase, streams):
         cdef Py_ssize_t count = batch.count, i, kept = 0
         self.batch, self._count = batch, count
-        self._owners, self._reports = [], {}
+        self._owners, self._reports, self._reported = [], {}, []
         self._arrivals = <Arrival*>PyMem_Calloc(count + 1, sizeof(Arrival))
         if self._arrivals == NULL:
             raise MemoryError
@@ -117,13 +120,12 @@ cdef class Arrivals:
     cdef int _add_columns(self, columns, bint carries, char marks) except -1:
         cdef const int64_t[:] position = columns.position, received = columns.received_ns
         cdef Py_ssize_t row, i
-        cdef bint reports = marks or columns.name in FlightPhase.interests
         for row in range(position.shape[0]):
             i = position[row]
             self._add(i, received[row], carries)
             self._arrivals[i].marks |= marks
-            if reports:
-                self._reports[i] = one_message(columns, row)
+        if marks or columns.name in FlightPhase.interests:
+            self._reports.update(zip(columns.position.tolist(), each(columns)))
         self._owners.append(columns)
         return 0
 
@@ -132,13 +134,15 @@ cdef class Arrivals:
         if not self._reports:
             return 0
         follower = copy(phase)
-        for i in sorted(self._reports):
+        state = follower.state
+        self._reported = sorted(self._reports)
+        for i in self._reported:
             message = self._reports[i]
             if is_autopilot_heartbeat(message):
                 self._arrivals[<Py_ssize_t>i].marks |= HEARTBEAT
-            before = follower.state
             follower.feed(message)
-            if follower.state != before:
+            before, state = state, follower.state
+            if state != before:
                 self._arrivals[<Py_ssize_t>i].marks |= BEGINS
         return 0
 
@@ -172,7 +176,7 @@ cdef class Arrivals:
             else:
                 others[int(places[first])] = owner
             first = ends[i]
-        self._count, self._reports = kept, reports
+        self._count, self._reports, self._reported = kept, reports, list(reports)
         self.batch = Batch(kept, tuple(columns), others)
         return 0
 
@@ -189,7 +193,8 @@ cdef class Arrivals:
 
     def reports(self, Py_ssize_t start, Py_ssize_t stop):
         """Return the reports on the flight phase among the messages start <= i < stop, in order."""
-        return [self._reports[i] for i in sorted(self._reports) if start <= i < stop]
+        first, end = bisect_left(self._reported, start), bisect_left(self._reported, stop)
+        return [self._reports[i] for i in self._reported[first:end]]
 
     def received_ns(self, Py_ssize_t i):
         """Return when a message arrived."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, Columns, cut, gathered, one_message, rows_of
+from adapters.batch import Batch, Columns, cut, each, gathered, rows_of
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.message import Message
@@ -166,7 +166,7 @@ def phase_reports(batch: Batch) -> list[tuple[int, Message]]:
     reports = [(index, message) for index, message in batch.others.items() if message.name in FlightPhase.interests]
     for columns in batch.columns:
         if columns.name in FlightPhase.interests:
-            reports += [(int(index), one_message(columns, row)) for row, index in enumerate(columns.position)]
+            reports += zip(columns.position.tolist(), each(columns), strict=True)
     return sorted(reports, key=lambda report: report[0])
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from adapters.batch import Batch, Columns, one_message
+from adapters.batch import Batch, Columns, each
 from adapters.encoding.message_record import encode
 from adapters.encoding.protobuf_types import (
     TIMESTAMP,
@@ -160,8 +160,7 @@ class RecordEncoder:
         for columns in batch.columns:
             encoded = self._encoded(columns)
             if encoded is None:
-                rows = ((place, one_message(columns, row)) for row, place in enumerate(columns.position.tolist()))
-                self._encode_singly(rows, records)
+                self._encode_singly(zip(columns.position.tolist(), each(columns), strict=True), records)
                 continue
             topic, data = encoded
             for place, row, time_ns in zip(columns.position.tolist(), data, columns.received_ns.tolist(), strict=True):
