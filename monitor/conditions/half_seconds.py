@@ -43,49 +43,58 @@ class HalfSeconds:
     def __init__(self, arms: NDArray[np.float64], metres: float) -> None:
         self._arms, self._metres = arms, metres
         self._rows = np.empty((0, len(arms) + len(SIGNALS)))
-        self._number, self._time_ns = -1, 0
+        self._numbers, self._time_ns = np.empty((2, 0), np.int64)
 
     def run(
         self, vehicle_ns: NDArray[np.int64], time_ns: NDArray[np.int64], rows: NDArray[np.float64]
     ) -> list[HalfSecond]:
         """Process n samples of flight; return the half seconds that they complete."""
-        numbers = vehicle_ns // _HALF_NS
-        begins = np.flatnonzero(np.diff(numbers, prepend=self._number))
-        rest, *others = np.split(rows, begins)
-        self._rows = np.vstack([self._rows, rest])
-        ended = []
-        for first, other in zip(begins, others, strict=True):
-            if len(self._rows) >= _LEAST_ROWS and (mean := self._mean()) is not None:
-                ended.append(mean)
-            self._rows, self._number, self._time_ns = other, int(numbers[first]), int(time_ns[first])
-        return ended
+        numbers = np.append(self._numbers, vehicle_ns // _HALF_NS)
+        times_ns, rows = np.append(self._time_ns, time_ns), np.vstack([self._rows, rows])
+        begins = np.flatnonzero(np.diff(numbers, prepend=-1))
+        last = begins[-1]
+        self._numbers, self._time_ns, self._rows = numbers[last:], times_ns[last:], rows[last:]
+        return self._means(numbers, times_ns, rows[:last], begins) if last else []
 
-    def _mean(self) -> HalfSecond | None:
-        motors = len(self._arms)
-        u = self._rows[:, :motors]
-        x, y, z, roll, pitch, yaw, speed, course, gps_height, height = self._rows[:, motors:].T
-        command = u.sum(axis=1)
-        if not (np.isfinite(self._rows).all() and command.min() > 0.0 and z.max() < 0.0):
-            return None
+    def _means(
+        self,
+        numbers: NDArray[np.int64],
+        times_ns: NDArray[np.int64],
+        rows: NDArray[np.float64],
+        begins: NDArray[np.intp],
+    ) -> list[HalfSecond]:
+        motors, counts, begins = len(self._arms), np.diff(begins), begins[:-1]
+        columns = np.ascontiguousarray(rows.T)
+        x, y, z, roll, pitch, yaw, speed, course, gps_height, height = columns[motors:]
+        command = columns[:motors].sum(axis=0)
+        usable = np.isfinite(columns).all(axis=0) & (command > 0.0) & (z < 0.0)
         forward = x * np.cos(pitch) + (y * np.sin(roll)) * np.sin(pitch)
         right = y * np.cos(roll)
         north, east = _turned(forward, right, yaw)
         along, across = _turned(speed, 0.0, np.radians(course))
         load = np.log(command / motors * STANDARD_GRAVITY / -z)
-        moments = (u @ self._arms).T / command
+        # no product of matrices, which adds in an order that depends on their size
+        moments = (columns[:motors, None] * self._arms[:, :, None]).sum(axis=0) / command
         values = np.array([load, *moments, north, east, along, across, speed, height, gps_height])
-        means = values.mean(axis=1).tolist()
-        return HalfSecond(
-            number=self._number,
-            time_ns=self._time_ns,
-            load=means[0],
-            moments=(means[1], means[2]),
-            pull=(means[3], means[4]),
-            velocity=(means[5], means[6]),
-            speed=means[7],
-            height=self._metres * means[8],
-            gps_height=means[9],
-        )
+        means = (np.add.reduceat(values, begins, axis=1) / counts).T.tolist()
+        flown = np.logical_and.reduceat(usable, begins) & (counts >= _LEAST_ROWS)
+        return [
+            HalfSecond(
+                number=number,
+                time_ns=time_ns,
+                load=mean[0],
+                moments=(mean[1], mean[2]),
+                pull=(mean[3], mean[4]),
+                velocity=(mean[5], mean[6]),
+                speed=mean[7],
+                height=self._metres * mean[8],
+                gps_height=mean[9],
+            )
+            for number, time_ns, mean, flies in zip(
+                numbers[begins].tolist(), times_ns[begins].tolist(), means, flown.tolist(), strict=True
+            )
+            if flies
+        ]
 
 
 def _turned(

@@ -66,8 +66,10 @@ class Load:
         l = [row.load for row in self._window]  # noqa: E741 - as in the formula
         before, after = l[:_BEFORE], l[-_AFTER:]
         change = _median(after) - _median(before)
+        if abs(change) < _CERTAIN * _LEAST_SPREAD:
+            return None
         spread = max(_spread(before), _spread(after))
-        if abs(change) < _CERTAIN * max(spread, _LEAST_SPREAD):
+        if abs(change) < _CERTAIN * spread:
             return None
         if math.copysign(1.0, change) * (l[_BEFORE + _JUMP] - l[_BEFORE - 1]) < _SUDDEN * abs(change):
             return None

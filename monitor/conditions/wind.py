@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from monitor.conditions.condition import FlightCondition
 from monitor.conditions.half_seconds import HalfSecond
 from monitor.display import number_text
@@ -45,30 +43,33 @@ class Wind:
     """Follows the wind through half seconds of flight."""
 
     def __init__(self) -> None:
-        self._x = np.array([_USUAL, 0.0, 0.0])
-        self._P = np.diag([_USUAL**2, _PULL**2, _PULL**2])
+        self._x = [_USUAL, 0.0, 0.0]
+        self._P = [[_USUAL**2, 0.0, 0.0], [0.0, _PULL**2, 0.0], [0.0, 0.0, _PULL**2]]
         self._said: tuple[float, float] | None = None
 
     def follow(self, mean: HalfSecond) -> FlightCondition | None:
         """Process the next half second; return the wind if it is known for the first time or has changed."""
-        self._P[1, 1] += 0.5 * _DRIFT**2
-        self._P[2, 2] += 0.5 * _DRIFT**2
-        for axis in (0, 1):
-            H = np.zeros(3)
-            H[0], H[1 + axis] = -mean.velocity[axis], 1.0
-            PH = self._P @ H
-            gain = PH / (H @ PH + _NOISE**2)
-            self._x = self._x + gain * (mean.pull[axis] - H @ self._x)
-            self._P = self._P - gain[:, None] * PH
-        drag = float(self._x[0])
-        if not math.sqrt(self._P[0, 0]) < _KNOWN * drag:
+        x, P = self._x, self._P
+        for axis, speed, pull in zip((1, 2), mean.velocity, mean.pull, strict=True):
+            P[axis][axis] += 0.5 * _DRIFT**2
+            # of H = -speed in the first column and 1 in that of the axis
+            PH = [row[axis] - speed * row[0] for row in P]
+            error, variance = pull - (x[axis] - speed * x[0]), PH[axis] - speed * PH[0] + _NOISE**2
+            x = [value + error * gain / variance for value, gain in zip(x, PH, strict=True)]
+            P = [
+                [entry - gain / variance * of for entry, of in zip(row, PH, strict=True)]
+                for row, gain in zip(P, PH, strict=True)
+            ]
+        self._x, self._P = x, P
+        drag = x[0]
+        if not math.sqrt(P[0][0]) < _KNOWN * drag:
             return None
-        north, east = float(self._x[1]) / drag, float(self._x[2]) / drag
+        north, east = x[1] / drag, x[2] / drag
         if self._said is not None and math.dist((north, east), self._said) < _CHANGED:
             return None
         self._said = (north, east)
         size = math.hypot(north, east)
-        sd = math.hypot(math.sqrt(max(self._P[1, 1], self._P[2, 2])) / drag, _SIZE * size)
+        sd = math.hypot(math.sqrt(max(P[1][1], P[2][2])) / drag, _SIZE * size)
         values = {"north_m_s": north, "east_m_s": east, "speed_m_s": size, "sd_m_s": sd}
         if size < _LEAST:
             return FlightCondition("wind", mean.time_ns, f"wind below {_LEAST:g} m/s", values)
