@@ -43,7 +43,8 @@ cdef enum:
 
 
 cdef struct Signature:
-    double[HYPOTHESES][STATES] state
+    # What a fault of unit size adds to the state, by state and hypothesis.
+    double[STATES][HYPOTHESES] state
     double[HYPOTHESES] matched
     double[HYPOTHESES] energy
     # Biases of gyros and accelerometers at the onset, and their variances.
@@ -151,7 +152,7 @@ cdef class Navigation:
     cdef double led(self, int axis) noexcept
     cdef void begin(self, const double* R) noexcept
     cdef void propagate(self) noexcept
-    cdef void carry(self, double* x, int (*columns)[STATES], const int* used) noexcept
+    cdef void carry(self, double* x, int count, int (*columns)[STATES], const int* used) noexcept
     cdef void spread_by(self, double (*P)[STATES], int (*columns)[STATES], const int* used) noexcept
     cdef void turn_field(self, double* H) noexcept
     cdef void update(self, const double* innovation, const double* variance) noexcept

@@ -1,4 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+# distutils: extra_compile_args = -ftree-vectorize -fvect-cost-model=dynamic
+# Signatures of different hypotheses are independent: two are computed at a time, to the same bits.
 """Strapdown navigation with its own attitude and biases, and isolation of the sensor that makes it differ from the GPS.
 
 Attitude R and horizontal velocity v are integrated from gyros and accelerometers minus their biases. A Kalman filter
@@ -495,7 +497,7 @@ cdef class Navigation:
         newest = &self._signatures[0]
         memset(newest, 0, sizeof(Signature))
         for h in range(BIASES):
-            newest.state[h][_BG + h] = 1.0
+            newest.state[_BG + h][h] = 1.0
             newest.bias[h] = self._bias[h]
             newest.variance[h] = self._P[_BG + h][_BG + h]
         innovation[2], variance[2] = 0.0, INFINITY
@@ -619,31 +621,36 @@ cdef class Navigation:
         # Most entries of F are zero: the columns of the others of each row, and their number.
         cdef int[STATES][STATES] columns
         cdef int[STATES] used
-        cdef int i, k, h, n = self.onsets()
+        cdef int i, k, n = self.onsets()
         for i in range(STATES):
             used[i] = filled(self._F[i], columns[i])
         self.spread_by(self._P, columns, used)
         for k in range(2):
             self.spread_by(self._coasts[k].P, columns, used)
-            self.carry(self._coasts[k].led, columns, used)
+            self.carry(self._coasts[k].led, 1, columns, used)
         for k in range(n):
             self._signatures[k].age_s += self._step_s
-            for h in range(HYPOTHESES):
-                self.carry(self._signatures[k].state[h], columns, used)
+            self.carry(self._signatures[k].state[0], HYPOTHESES, columns, used)
         memset(self._F, 0, sizeof(self._F))
         memset(self._Q, 0, sizeof(self._Q))
         for i in range(STATES):
             self._F[i][i] = 1.0
 
-    cdef void carry(self, double* x, int (*columns)[STATES], const int* used) noexcept:
-        """Predict an error of the state, x <- F x, by the columns of the entries of F that are not zero."""
-        cdef double[STATES] moved
-        cdef int i, m
+    cdef void carry(self, double* x, int count, int (*columns)[STATES], const int* used) noexcept:
+        """Predict ``count`` errors of the state, x <- F x, by the columns of the entries of F that are not zero."""
+        cdef double[STATES * HYPOTHESES] moved
+        cdef double factor
+        cdef double* sums
+        cdef const double* row
+        cdef int i, h, m
+        memset(moved, 0, sizeof(moved))
         for i in range(STATES):
-            moved[i] = 0.0
+            sums = &moved[i * count]
             for m in range(used[i]):
-                moved[i] += self._F[i][columns[i][m]] * x[columns[i][m]]
-        memcpy(x, moved, sizeof(moved))
+                factor, row = self._F[i][columns[i][m]], x + columns[i][m] * count
+                for h in range(count):
+                    sums[h] += factor * row[h]
+        memcpy(x, moved, STATES * count * sizeof(double))
 
     cdef void spread_by(self, double (*P)[STATES], int (*columns)[STATES], const int* used) noexcept:
         """Predict a covariance, P <- F P F' + Q, likewise."""
@@ -673,8 +680,9 @@ cdef class Navigation:
         cdef double[STATES] x
         cdef double[STATES] of_state
         cdef double[STATES] H
+        cdef double[HYPOTHESES] expected
         cdef int[STATES] columns
-        cdef double S, nu, expected
+        cdef double S, nu
         cdef Signature* signature
         cdef int m, i, j, k, h, n, used
         self._count += 1
@@ -704,18 +712,19 @@ cdef class Navigation:
                 gain[i] = of_state[i] / S if m < 2 or i == 2 or i == _BG + 2 or i in (_H, _FIELD_LATE) else 0.0
             for k in range(n):
                 signature = &self._signatures[k]
+                memset(expected, 0, sizeof(expected))
+                for i in range(used):
+                    for h in range(HYPOTHESES):
+                        expected[h] += H[columns[i]] * signature.state[columns[i]][h]
+                expected[_JUMP + m] += 1.0
+                if m < 2:
+                    expected[_RAMP + m] += signature.age_s
                 for h in range(HYPOTHESES):
-                    expected = 0.0
-                    for i in range(used):
-                        expected += H[columns[i]] * signature.state[h][columns[i]]
-                    if h == _JUMP + m:
-                        expected += 1.0
-                    elif h == _RAMP + m:
-                        expected += signature.age_s
-                    signature.matched[h] += expected * nu / S
-                    signature.energy[h] += expected * expected / S
-                    for i in range(STATES):
-                        signature.state[h][i] -= gain[i] * expected
+                    signature.matched[h] += expected[h] * nu / S
+                    signature.energy[h] += expected[h] * expected[h] / S
+                for i in range(STATES):
+                    for h in range(HYPOTHESES):
+                        signature.state[i][h] -= gain[i] * expected[h]
             for i in range(STATES):
                 x[i] += gain[i] * nu
                 for j in range(STATES):
@@ -866,9 +875,9 @@ cdef class Navigation:
         cdef double[STATES] x
         cdef int i, j
         for i in range(STATES):
-            x[i] = size * signature.state[which][i]
+            x[i] = size * signature.state[i][which]
             for j in range(STATES):
-                self._P[i][j] += spread * signature.state[which][i] * signature.state[which][j]
+                self._P[i][j] += spread * signature.state[i][which] * signature.state[j][which]
         if which < BIASES:
             if not self._faulty[which]:
                 self._faulty[which] = True
