@@ -97,9 +97,10 @@ class Uncertainty:
             return
         # Of each observer only the errors that are coupled with those of its faults: one axis knows nothing of others.
         entries, parts = [], dict[tuple[int, ...], int]()
+        coupled = {k: _coupled(systems[k].A) for k in set(owned)}
         for name, k in zip(faults, owned, strict=True):
             at = len(systems[k].steady) - len(hypotheses[k].faults) + hypotheses[k].faults.index(name)
-            part = np.flatnonzero(_coupled(systems[k].A)[at]).tolist()
+            part = np.flatnonzero(coupled[k][at]).tolist()
             entries.append((parts.setdefault((k, *part), len(parts)), part.index(at)))
         size = max(map(len, parts)) - 1
         A, Q = np.zeros((2, len(parts), 3, size, size))
