@@ -535,9 +535,7 @@ class ObserverChain:
         changes = None
         if self._changes is not None:
             # A name may make a test of additions forget onsets: there it must not depend on how the stream is cut.
-            first_ns = int(samples.time_ns.min(initial=LATEST_NS))
-            suspects = () if self._changes.adds else self._alarms[: len(self._faults)]
-            lasting = [alarm.lasts(first_ns) for alarm in suspects]
+            lasting = [] if self._changes.adds else self._lasting(samples, found.rival)
             asked = nats_asked(self._states[: len(self._faults)], evidence, speaking, alarm_scale, beyond, lasting)
             changes = self._changes.run(samples, estimates.armed, estimates.isolated, asked, given.ahead)
             for fault, output in self._changes.noisy.items():
@@ -588,6 +586,24 @@ class ObserverChain:
             None if changes is None else changes.sd,
             given.unflown,
         )
+
+    def _lasting(self, samples: Samples, rival: NDArray[np.intp]) -> list[bool]:
+        """Return which faults' alarms are active and, over these samples, can be ended by their evidence alone.
+
+        No alarm that is raised meanwhile explains them.
+        """
+        first_ns = int(samples.time_ns.min(initial=LATEST_NS))
+        return [
+            alarm.state.active
+            and (
+                alarm.is_old(first_ns)
+                or (
+                    max(alarm.state.rival, rival[:, fault].max(initial=-1)) < 0
+                    and not self._excuses.may_precede(alarm.rule.channel)
+                )
+            )
+            for alarm, fault in zip(self._alarms, self._faults, strict=False)
+        ]
 
     def _named(self, run: ChangeRun) -> dict[str, Any]:
         """Return the alarm whose sudden change each row names, with its nats, size, growth, onset and sd."""

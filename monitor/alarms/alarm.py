@@ -328,9 +328,9 @@ class Alarm:
         self._last = replace(last, state="updated", message=message, time_ns=time_ns, vehicle_time_ms=vehicle_ms)
         return self._last
 
-    def lasts(self, now_ns: int) -> bool:
-        """Return whether it is active, and for too long to be explained by an alarm that is raised from now on."""
-        return self.state.active and now_ns - self.since_ns > LATELY_NS
+    def is_old(self, now_ns: int) -> bool:
+        """Return whether it was raised too long ago to be explained by an alarm that is raised from now on."""
+        return now_ns - self.since_ns > LATELY_NS
 
     def close(self, time_ns: int, vehicle_ns: int, why: str) -> AlarmEvent:
         """End an active alarm regardless of its evidence, and forget that evidence; return the event."""

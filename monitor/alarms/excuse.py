@@ -128,6 +128,10 @@ class Excuses:
                     return event
         return None
 
+    def may_precede(self, channel: str) -> bool:
+        """Return whether a channel's alarm may be raised before the one that explains it, and ends it."""
+        return any(rule.precedes for rule in self._rules.get(channel, ()))
+
     def consequences(self, event: AlarmEvent) -> list[AlarmEvent]:
         """End the alarms that a newly raised alarm explains, and list those that ended by themselves lately.
 

@@ -607,9 +607,9 @@ cdef class ChangeTest:
         the best one: each counts with e^(-difference of nats / width).
         """
         cdef Py_ssize_t h, age
-        cdef double width = max(1.0, SIGNATURE_SHARE * chosen.nats), most = chosen.nats
+        cdef double narrow = 1.0 / max(1.0, SIGNATURE_SHARE * chosen.nats), most = chosen.nats
         cdef double along, square, next_along, next_square, cross, determinant, early, late, least
-        cdef double size, nats, variance, weight, grown, total = 0.0, first = 0.0, second = 0.0
+        cdef double size, nats, variance, divisor, weight, grown, total = 0.0, first = 0.0, second = 0.0
         cdef double growing = 0.0, growth = 0.0
         for h in range(self.H):
             if self.owner[h] != owner:
@@ -622,25 +622,25 @@ cdef class ChangeTest:
                 if square <= least:
                     next_along = next_square = 0.0
                     continue
-                size, nats, variance = along / square, 0.5 * along * along / square, 1.0 / square
+                # Size, twice the nats and variance times what they are divided by.
+                size, nats, variance, divisor = along, along * along, 1.0, square
                 if self.is_sudden[h] and age > 0:
                     cross = self.mixed[h, self.newest + age] + self.settled_information[h]
                     determinant = square * next_square - cross * cross
                     early = along * next_square - cross * next_along
                     late = square * next_along - cross * along
                     if determinant > SMALLEST_DETERMINANT * square * next_square and early * late > 0.0:
-                        size = (early + late) / determinant
-                        nats = 0.5 * (early * along + late * next_along) / determinant
-                        variance = (square + next_square - 2.0 * cross) / determinant
+                        size, nats, divisor = early + late, early * along + late * next_along, determinant
+                        variance = square + next_square - 2.0 * cross
                 next_along, next_square = along, square
-                grown = self.grows_to(h, age)
-                size *= grown
+                divisor, grown = 1.0 / divisor, self.grows_to(h, age)
+                size *= divisor * grown
                 if size * chosen.size > 0.0 and (h >= 3 * self.m or fabs(size) <= LARGEST_LOSS):
-                    weight = exp((nats - most) / width)
+                    weight = exp((0.5 * nats * divisor - most) * narrow)
                     total, first = total + weight, first + weight * size
                     if 2 * self.m <= h < 3 * self.m:
-                        growing, growth = growing + weight, growth + weight * along / square
-                    second += weight * (size * size + variance * grown * grown)
+                        growing, growth = growing + weight, growth + weight * along * divisor
+                    second += weight * (size * size + variance * divisor * grown * grown)
         if total > 0.0:
             chosen.size = first / total
             chosen.variance = max(chosen.variance, second / total - chosen.size * chosen.size)
