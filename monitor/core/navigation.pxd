@@ -118,7 +118,9 @@ cdef class Navigation:
     cdef double[STATES][STATES] _P
     cdef double[STATES][STATES] _F
     cdef double[STATES][STATES] _Q
+    # Those of the onsets, in the order of ``_order``, the newest first.
     cdef Signature[ONSETS] _signatures
+    cdef int[ONSETS] _order
     cdef readonly double score
     # Whether the magnetic field has jumped and is not back yet.
     cdef bint strayed
@@ -161,5 +163,6 @@ cdef class Navigation:
     cdef void end(self, Signature* signature, int which) noexcept
     cdef void jump(self, Signature* signature, int which, double size, double spread) noexcept
     cdef void correct(self, const double* x) noexcept
+    cdef Signature* signature(self, int k) noexcept
     cdef int onsets(self) noexcept
     cdef void advance(self, double* m, int apart, const double* f) noexcept

@@ -265,6 +265,8 @@ cdef class Navigation:
         self._ticks = self._count = self._helpless = self._unseen = 0
         self._pace = self._every
         self._turned = False
+        for i in range(ONSETS):
+            self._order[i] = i
 
     cdef void go_on(
         self, const double* force, const double* rate, const double* mean, const double* R, const double* field,
@@ -460,7 +462,7 @@ cdef class Navigation:
         cdef Signature* newest
         cdef double off, timing_s, least
         cdef bint steps = False
-        cdef int i, h, older
+        cdef int i, h, older, last, free
         if self._ticks == 0:
             # The first tick: nothing to compare yet.
             self._velocity[0], self._velocity[1] = velocity[0], velocity[1]
@@ -489,12 +491,12 @@ cdef class Navigation:
                     self.put_off(i, innovation[i])
                 variance[i] = INFINITY
         older = self._count - _DENSE
-        memmove(
-            &self._signatures[1],
-            &self._signatures[0],
-            (_DENSE - 1 if older > 0 and older % _SPACING else ONSETS - 1) * sizeof(Signature),
-        )
-        newest = &self._signatures[0]
+        # The onset that is left out gives its memory to the new one.
+        last = _DENSE - 1 if older > 0 and older % _SPACING else ONSETS - 1
+        free = self._order[last]
+        memmove(&self._order[1], &self._order[0], last * sizeof(int))
+        self._order[0] = free
+        newest = self.signature(0)
         memset(newest, 0, sizeof(Signature))
         for h in range(BIASES):
             newest.state[_BG + h][h] = 1.0
@@ -629,8 +631,8 @@ cdef class Navigation:
             self.spread_by(self._coasts[k].P, columns, used)
             self.carry(self._coasts[k].led, 1, columns, used)
         for k in range(n):
-            self._signatures[k].age_s += self._step_s
-            self.carry(self._signatures[k].state[0], HYPOTHESES, columns, used)
+            self.signature(k).age_s += self._step_s
+            self.carry(self.signature(k).state[0], HYPOTHESES, columns, used)
         memset(self._F, 0, sizeof(self._F))
         memset(self._Q, 0, sizeof(self._Q))
         for i in range(STATES):
@@ -669,6 +671,10 @@ cdef class Navigation:
                 for m in range(used[j]):
                     total += half[i][columns[j][m]] * self._F[j][columns[j][m]]
                 P[i][j] = P[j][i] = total
+
+    cdef Signature* signature(self, int k) noexcept:
+        """Return the signature of an onset, the newest being 0."""
+        return &self._signatures[self._order[k]]
 
     cdef int onsets(self) noexcept:
         """Return the number of onsets."""
@@ -711,7 +717,7 @@ cdef class Navigation:
                 # The field corrects the heading only: an error of one degree would tilt the attitude by half a degree.
                 gain[i] = of_state[i] / S if m < 2 or i == 2 or i == _BG + 2 or i in (_H, _FIELD_LATE) else 0.0
             for k in range(n):
-                signature = &self._signatures[k]
+                signature = self.signature(k)
                 memset(expected, 0, sizeof(expected))
                 for i in range(used):
                     for h in range(HYPOTHESES):
@@ -774,7 +780,7 @@ cdef class Navigation:
         for h in range(HYPOTHESES):
             best[h], onset[h], end[h], ended[h] = 0.0, 0, 0.0, 0
         for k in range(n):
-            signature = &self._signatures[k]
+            signature = self.signature(k)
             for h in range(HYPOTHESES):
                 if signature.energy[h] <= 0.0:
                     continue
@@ -794,7 +800,7 @@ cdef class Navigation:
                     others = fmax(others, _BETTER * best[k])
             # If another fault explains the innovations much better it is no end.
             if end[h] > others:
-                self.end(&self._signatures[ended[h]], h)
+                self.end(self.signature(ended[h]), h)
                 return
         others = 0.0
         for h in range(HYPOTHESES):
@@ -816,7 +822,7 @@ cdef class Navigation:
             and best[which] > others + _MARGIN
             and (which != 2 or self._field_noise > 0.0)
         ):
-            signature = &self._signatures[onset[which]]
+            signature = self.signature(onset[which])
             size = signature.matched[which] / signature.energy[which]
             least = _LEAST[which >= 3] if which < _JUMP else _LEAST_RAMP if which >= _RAMP else 0.0
             if (
@@ -852,7 +858,7 @@ cdef class Navigation:
         cdef double weights = 0.0, variance = 0.0, weight, other, matched, energy
         cdef int k
         for k in range(n):
-            matched, energy = self._signatures[k].matched[which], self._signatures[k].energy[which]
+            matched, energy = self.signature(k).matched[which], self.signature(k).energy[which]
             if energy > 0.0:
                 other, weight = matched / energy, exp(0.5 * matched * matched / (energy + _rarity(which)) - best)
                 weights, variance = weights + weight, variance + weight * (other - size) * (other - size)

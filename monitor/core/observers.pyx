@@ -210,6 +210,8 @@ cdef class ErrorCovariance:
     # The columns of each row's entries of A and Q that are not zero, before the others, and their number.
     cdef Py_ssize_t[:, :, :, ::1] of_A, of_Q
     cdef Py_ssize_t[:, :, ::1] count_A, count_Q
+    # Number of each observer's errors: what follows only fills the matrices up.
+    cdef Py_ssize_t[::1] sizes
     cdef double[:, :, ::1] P, start, steady
     cdef double[:, ::1] AP, PA
     cdef Py_ssize_t[::1] owner, entry
@@ -221,6 +223,9 @@ cdef class ErrorCovariance:
         self.A, self.Q = np.ascontiguousarray(A), np.ascontiguousarray(Q)
         self.of_A, self.of_Q = (np.argsort(M == 0.0, axis=-1, kind="stable").astype(np.intp) for M in (A, Q))
         self.count_A, self.count_Q = (np.count_nonzero(M, axis=-1).astype(np.intp) for M in (A, Q))
+        used = A.any(axis=1) | Q.any(axis=1)
+        used = (used | used.swapaxes(1, 2)).any(axis=1) * np.arange(1, A.shape[3] + 1)
+        self.sizes = np.max(used, axis=1).astype(np.intp)
         self.steady, self.start = np.ascontiguousarray(steady), np.ascontiguousarray(start)
         self.P = np.array(steady)
         self.AP, self.PA = np.empty((2, *steady.shape[1:]))
@@ -265,8 +270,9 @@ cdef class ErrorCovariance:
 
     cdef void propagate(self, int kind) noexcept:
         """P = A P A' + Q; A and Q are sparse, and P A' = (A P)' because P is symmetric."""
-        cdef Py_ssize_t k, i, j, m, size = self.P.shape[1]
+        cdef Py_ssize_t k, i, j, m, size
         for k in range(self.P.shape[0]):
+            size = self.sizes[k]
             self.multiply(k, kind, self.P[k], self.AP)
             for i in range(size):
                 for j in range(size):
@@ -279,7 +285,7 @@ cdef class ErrorCovariance:
 
     cdef void multiply(self, Py_ssize_t k, int kind, const double[:, ::1] B, double[:, ::1] out) noexcept:
         """Write A B."""
-        cdef Py_ssize_t i, j, m, size = B.shape[1]
+        cdef Py_ssize_t i, j, m, size = self.sizes[k]
         cdef double factor
         cdef const double* row
         cdef double* sums
