@@ -377,11 +377,11 @@ class ObserverChain:
                 continue
             changed = True
             if doubt and excused:
-                by_itself = alarm.ended_since(doubt.since_ns)
                 ended = alarm.withdraw(time_ns, vehicle_ns, doubt.why, doubt.since_ns)
                 events += self._excuses.consequence(ended, alarm.state)
-                listed = doubt.affect(channel, time_ns, vehicle_ns) if by_itself else None
-                events += [] if listed is None else [listed]
+                if ended is None and self._excuses.ended_lately(channel, vehicle_ns):
+                    listed = doubt.affect(channel, time_ns, vehicle_ns)
+                    events += [] if listed is None else [listed]
         if changed and doubt is None:
             self._begin_anew()
         return events

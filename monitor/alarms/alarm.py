@@ -345,10 +345,6 @@ class Alarm:
             return None
         return self.close(time_ns, vehicle_ns, why)
 
-    def ended_since(self, time_ns: int) -> bool:
-        """Return whether the alarm has ended by itself at a time or later."""
-        return self._last is not None and self._last.state == "cleared" and self._last.time_ns >= time_ns
-
     def _event(
         self,
         state: State,

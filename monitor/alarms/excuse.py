@@ -144,10 +144,14 @@ class Excuses:
             for withdraw in self._withdraw.get(channel, ()):
                 ended = withdraw(event.time_ns, vehicle_ns, f"explained by {event.channel}")
                 events += self.consequence(ended)
-                cleared_ns = self._cleared_ns.get(channel, -LATEST_NS)
-                if ended is None and not self._active.get(channel) and 0 <= vehicle_ns - cleared_ns <= LATELY_NS:
+                if ended is None and self.ended_lately(channel, vehicle_ns):
                     events.append(self.explained(channel, event.time_ns, vehicle_ns))
         return [listed for listed in events if listed is not None]
+
+    def ended_lately(self, channel: str, vehicle_ns: int) -> bool:
+        """Return whether the channel's alarm has ended at most 10 s before a vehicle time."""
+        cleared_ns = self._cleared_ns.get(channel, -LATEST_NS)
+        return not self._active.get(channel) and 0 <= vehicle_ns - cleared_ns <= LATELY_NS
 
     def consequence(self, ended: AlarmEvent | None, alarm: AlarmState | None = None) -> list[AlarmEvent]:
         """Follow the end of an alarm that another one explains.
