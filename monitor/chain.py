@@ -569,6 +569,7 @@ class ObserverChain:
             alarm_scale,
             **({} if changes is None else self._named(changes)),
             sd=size_sd[:, self._columns],
+            noise=sd[:, self._columns],
             command=commands[:, self._columns],
             rival=found.rival[:, self._columns],
         )

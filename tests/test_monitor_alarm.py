@@ -44,6 +44,7 @@ def process(
     unix_minus_vehicle_ns: int = 10**18,
     relative: float | None = None,
     sd: NDArray[np.float64] | None = None,
+    noise: NDArray[np.float64] | None = None,
     commands: NDArray[np.float64] | None = None,
     rival: NDArray[np.intp] | None = None,
 ) -> list[AlarmEvent]:
@@ -56,7 +57,7 @@ def process(
     samples = Samples(
         np.arange(count), times_ns, unix_ns, nothing, nothing, restart, always, times_ns, always, nothing > 0
     )
-    column = [None if one is None else one[:, None] for one in (sd, commands)]
+    column = [None if one is None else one[:, None] for one in (sd, noise, commands)]
     rows = ChainRows(
         [alarm.state],
         np.arange(count),
@@ -65,7 +66,8 @@ def process(
         evidence[:, None],
         speaking[:, None],
         sd=column[0],
-        command=column[1],
+        noise=column[1],
+        command=column[2],
         rival=None if rival is None else rival[:, None],
     )
     events: list[AlarmEvent] = []
@@ -152,11 +154,11 @@ def test_a_size_that_moves_less_than_three_standard_deviations_is_no_update() ->
     assert [event.state for event in process(new_alarm(), evidence, times, sd=sd)] == ["raised", "updated"]
 
 
-def test_an_edge_below_its_own_standard_deviation_raises_nothing() -> None:
-    times, evidence = np.arange(600) * STEP_NS, np.full(600, -0.07)
+def test_an_edge_below_its_own_noise_raises_nothing_and_one_that_has_just_moved_is_raised_at_once() -> None:
+    times, evidence, sd = np.arange(600) * STEP_NS, np.full(600, -0.07), np.full(600, 0.1)
     edge = new_alarm(replace(RULE, raise_s=0.0, fast=math.inf, slow=math.inf))
-    assert process(edge, evidence, times, sd=np.full(600, 0.08)) == []
-    assert [event.state for event in process(edge, evidence, times, sd=np.full(600, 0.06))] == ["raised"]
+    assert process(edge, evidence, times, sd=sd, noise=np.full(600, 0.08)) == []
+    assert [event.state for event in process(edge, evidence, times, sd=sd, noise=np.full(600, 0.06))] == ["raised"]
 
 
 def test_an_alarm_says_which_channel_it_may_be_instead_until_the_two_are_told_apart() -> None:

@@ -64,6 +64,7 @@ class ChainRows:
         onset_ns: NDArray[np.int64] | None = None,
         change_sd: NDArray[np.float64] | None = None,
         sd: NDArray[np.float64] | None = None,
+        noise: NDArray[np.float64] | None = None,
         command: NDArray[np.float64] | None = None,
         rival: NDArray[np.intp] | None = None,
         instead: NDArray[np.intp] | None = None,

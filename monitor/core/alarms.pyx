@@ -219,16 +219,16 @@ cdef class AlarmState:
         return False
 
     cdef int step(self, int64_t now, bint restart, double evidence, bint speaking, double scale, double sd,
-                  double command, Py_ssize_t rival, const Change* change) noexcept:
+                  double noise, double command, Py_ssize_t rival, const Change* change) noexcept:
         """Process one row; return the event it causes."""
-        cdef int event = self.event_of(now, restart, evidence, speaking, scale, sd, command, rival, change)
+        cdef int event = self.event_of(now, restart, evidence, speaking, scale, sd, noise, command, rival, change)
         if event == RAISED or event == UPDATED:
             self.reported_command = command
             self.rival = change.rival if event == RAISED and self.sudden else rival
         return event
 
     cdef int event_of(self, int64_t now, bint restart, double evidence, bint speaking, double scale, double sd,
-                      double command, Py_ssize_t rival, const Change* change) noexcept:
+                      double noise, double command, Py_ssize_t rival, const Change* change) noexcept:
         cdef int64_t elapsed
         cdef int event
         if not self.active and self.is_certain(change, evidence) and not self.excused(now):
@@ -252,9 +252,9 @@ cdef class AlarmState:
         self.average(restart, evidence / scale, scale, elapsed)
         if self.active:
             return self.follow(now, evidence, scale, sd, command, rival, elapsed)
-        # One sample may raise an edge, unless its standard deviation is larger than itself: a gyro of a motors'
-        # observer was 17 degrees/s off, give or take 770, where a simulator had stood still for a moment.
-        event = self.debounce(now, 0.0 if self.is_edge and fabs(evidence) < sd else evidence, scale, elapsed)
+        # One sample may raise an edge, unless noise alone is larger: a gyro of a motors' observer was 17 degrees/s off,
+        # give or take 770, where a simulator had stood still for a moment. (A jump moves, but that is no noise.)
+        event = self.debounce(now, 0.0 if self.is_edge and fabs(evidence) < noise else evidence, scale, elapsed)
         if event == RAISED:
             self.reported_sd = sd
         if event == RAISED and not self.creeping and change.nats > 0.0 and change.onset_ns > self.ended_ns:
@@ -441,6 +441,8 @@ cdef class ChainRows:
         may be responsible ``instead``, -1 for none.
     sd : float64 (n, m), optional
         Standard deviation of the evidence of the first m alarms, not a number where it is not known.
+    noise : float64 (n, m), optional
+        The part of it that estimates have in healthy flight, without what a movement may still miss.
     command : float64 (n, m), optional
         The command of which the size of each of the first m alarms is a share, not a number where it is none.
     rival : intp (n, m), optional
@@ -453,19 +455,19 @@ cdef class ChainRows:
     cdef const double[:, :] evidence
     cdef const uint8_t[:, :] speaking
     cdef const Py_ssize_t[:] changed
-    cdef const double[:, :] scale, sd, command
+    cdef const double[:, :] scale, sd, noise, command
     cdef const double[:] nats, size, growth, change_sd
     cdef const int64_t[:] onset_ns
     cdef const Py_ssize_t[:, :] rival
     cdef const Py_ssize_t[:] instead
 
     def __init__(self, alarms, position, times_ns, restart, evidence, speaking, scale=None, changed=None, nats=None,
-                 size=None, growth=None, onset_ns=None, change_sd=None, sd=None, command=None, rival=None,
-                 instead=None):
+                 size=None, growth=None, onset_ns=None, change_sd=None, sd=None, noise=None, command=None,
+                 rival=None, instead=None):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
         self.restart, self.evidence, self.speaking = restart, evidence, speaking
-        self.scale, self.sd, self.command = scale, sd, command
+        self.scale, self.sd, self.noise, self.command = scale, sd, noise, command
         self.changed, self.nats, self.size, self.growth, self.onset_ns = changed, nats, size, growth, onset_ns
         self.change_sd, self.rival, self.instead = change_sd, rival, instead
 
@@ -674,6 +676,7 @@ def walk(chains, on_event):
                 chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i],
                 chain.scale[row, i] if chain.scale is not None and i < chain.scale.shape[1] else 1.0,
                 chain.sd[row, i] if chain.sd is not None and i < chain.sd.shape[1] else NAN,
+                chain.noise[row, i] if chain.noise is not None and i < chain.noise.shape[1] else NAN,
                 chain.command[row, i] if chain.command is not None and i < chain.command.shape[1] else NAN,
                 chain.rival[row, i] if chain.rival is not None and i < chain.rival.shape[1] else -1, &change)
             if event == RAISED:
