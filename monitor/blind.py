@@ -262,7 +262,7 @@ class BlindAlarm:
         self.active: AlarmEvent | None = None  # the last event of the active alarm
         self._slot = 0
         self._started = False
-        self._received = False  # whether any telemetry came since the start
+        self.received = False  # whether any telemetry came since the start
         self._affected: list[str] = []  # channels that the active alarm explains
         # messages that stand still while the alarm is active, and since when, in vehicle time
         self.frozen: Mapping[str, int] = {}
@@ -280,8 +280,8 @@ class BlindAlarm:
 
     def receive(self, batch: Batch) -> None:
         """Record when messages of each name came."""
-        if not self._received and batch.count:
-            self._received = True
+        if not self.received and batch.count:
+            self.received = True
             self.wait_from(int(arrival_times(batch).min()))
         for columns in batch.columns:
             for flow in self._receivers.get(columns.name, ()):
@@ -328,7 +328,7 @@ class BlindAlarm:
                 if group.since_ns - now_ns >= SET_BACK_NS:
                     group.since_ns, group.evidence_ns = now_ns, min(group.evidence_ns, now_ns)
         slot, active = now_ns // _SLOT_NS, self.active
-        if active is None and not (flying and self._received):
+        if active is None and not (flying and self.received):
             return []
         if active is not None:
             if 0 <= self._slot - slot < SET_BACK_NS // _SLOT_NS:

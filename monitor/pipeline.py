@@ -205,7 +205,8 @@ class Pipeline:
         """Which parts of a flying vehicle are not watched, and why; None: all are watched."""
         if (active := self._blind.active) is not None:
             return active.message
-        if self._stale.active and self._flies():
+        # Of a vehicle that was silent since the start it is not known whether it flies.
+        if self._stale.active and self._blind.received and self._flies():
             return "telemetry ended in flight: nothing is watched"
         return f"not watched: {self.refused}" if self.refused and self._phase.armed else None
 

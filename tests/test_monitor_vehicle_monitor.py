@@ -20,7 +20,7 @@ from adapters.source import MAVLINK, OPERATOR, ZENOH
 from monitor.bus.schemas import SCHEMAS
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
-from monitor.pipeline import Pipeline, shelved_channels
+from monitor.pipeline import Pipeline, handover_message, shelved_channels
 from monitor.profile import Profile
 from monitor.recording.journal import Journal
 from monitor.service.health import Health, LinkHealth, ProcessHealth, problems
@@ -206,6 +206,13 @@ def test_a_vehicle_whose_telemetry_ended_is_a_problem_in_flight_and_none_on_the_
     assert (status["state"], status["reasons"]) == ("stale", ["telemetry ended in flight: nothing is watched"])
     [problem] = problems(Health(ProcessHealth(), (monitor.health("stale", None, now_ns),)))
     assert problem == "copter-1: telemetry ended in flight: nothing is watched"
+
+    # Whether a vehicle flies that was silent since a restart is not known.
+    again = VehicleMonitor(Pipeline(quad_profile, "copter-1"), (), None, lambda _: None, now_ns)
+    told = event(9, "telemetry", observer="link", kind="stale", unit="s")
+    again.process(pack([handover_message([told], 9, now_ns), silence(now_ns + SECOND_NS)]))
+    assert (again.status(now_ns)["state"], again.status(now_ns)["reasons"]) == ("stale", [])
+    assert problems(Health(ProcessHealth(), (again.health("stale", None, now_ns),))) == []
 
     landed = Message(MAVLINK, "HEARTBEAT", now_ns, {"type": 2, "autopilot": 3, "base_mode": 81}, 1, 1)
     down = [replace(landed, received_ns=now_ns + k * SECOND_NS) for k in range(5)]
