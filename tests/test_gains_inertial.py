@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 import pytest
 import strapdown_truth as truth
 
 from adapters.errors import ModelError
+from adapters.sample import Samples
 from gains.analysis.estimability import problem_of
 from gains.identification.segment import Segment
 from gains.plants.plant import FloatArray, Plant
@@ -17,7 +19,9 @@ from gains.synthesis.bank import Hypothesis
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from monitor.estimation.affine import AffineObserver
+from monitor.fitting.flights import Flight
 from monitor.profile import FaultChannel
+from monitor.vehicles.inertial.fit import _BENT, _line_s
 from monitor.vehicles.inertial.fit import _alarms as sensor_alarms
 from monitor.vehicles.inertial.identify import inertial_bank, inertial_hypotheses, inertial_plant, smallest_faults
 from monitor.vehicles.inertial.sensor_fit import (
@@ -212,3 +216,19 @@ def test_a_compass_that_healthy_flight_turns_around_is_not_watched(off: float, w
     compass = FaultChannel("compass", "sensor", "rad", None)
     found = sensor_alarms([compass], [np.abs(headings)], [], 25.0, {"compass": 0.17}, ())
     assert [alarm.rule.channel for alarm in found] == ["compass"] * watched
+
+
+@pytest.mark.parametrize(("kind", "bent_from"), [(np.float32, _BENT[0]), (np.float64, _BENT[1])])
+def test_lines_between_slow_measurements_are_found_although_numbers_are_rounded(
+    kind: type[np.floating[Any]], bent_from: float
+) -> None:
+    """A height measured 5 times a second, told 250 times a second on the lines between, and sampled at 25 Hz."""
+    times, measured = np.arange(0.0, 40.0, 0.004), np.arange(0.0, 41.0, 0.2)
+    heights = 40.0 + np.random.default_rng(0).normal(scale=0.1, size=len(measured))
+    told = np.interp(times, measured, heights).astype(kind).astype(np.float64)
+    grid = np.arange(0.0, 39.0, 0.04)
+    count = len(grid)
+    always, stamps, nothing = np.ones(count, np.bool_), np.arange(count), np.zeros((count, 1), np.bool_)
+    u = np.interp(grid, times, told)[:, None]
+    samples = Samples(stamps, stamps, stamps, u, u[:, :0], always, always, stamps, always, nothing)
+    assert _line_s([Flight(samples, always)], 0, 25.0, bent_from) == 0.2

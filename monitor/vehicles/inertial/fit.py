@@ -125,9 +125,9 @@ _SUDDEN = {
 threshold within the washout; as a random walk, it drifts within the test's window by the square root of that share
 of time: a position that moved further is no drift. Wind and currents act on barometer and compass at once and in
 full."""
-_BENT = 1e-12
-"""Smallest bend that counts, relative to the signal's size: above the rounding of a straight line, some thousand times
-double precision."""
+_BENT = 1e-6, 1e-12
+"""Smallest bend that counts, relative to the signal's size, of numbers of single and of double precision (a GPS's):
+above the rounding of a straight line. Heights in logs of PX4 bend by 1e-7 between measurements."""
 _MOST_OF_JUMPS = 1.5
 """Largest ratio of the level to the largest healthy step: steps are too rare to fit a tail to them."""
 _TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
@@ -268,7 +268,7 @@ def _designed(
         alarms = [found for found in alarms if found.rule.channel not in silent]
     watched, signals = {found.rule.channel for found in alarms}, [channel.name for channel in channels.channels]
     lines_s = {
-        name: _line_s(raw, signals.index(signal), signal_hz)
+        name: _line_s(raw, signals.index(signal), signal_hz, _BENT[signal == GPS[0]])
         for name, signal in _SUDDEN.items()
         if name in watched and signal in signals
     }
@@ -323,13 +323,16 @@ def _sudden(
     return changes, sudden
 
 
-def _line_s(raw: Sequence[Flight], index: int, signal_hz: float) -> float:
-    """Return the median length of the straight lines from one measurement of a signal to the next, seconds."""
+def _line_s(raw: Sequence[Flight], index: int, signal_hz: float, bent_from: float) -> float:
+    """Return the median length of the straight lines from one measurement of a signal to the next, seconds.
+
+    A bend counts from a share of the signal's size on.
+    """
     lines = [np.zeros(0)]
     bent, count = 0, 0
     for flight in raw:
         values = flight.samples.u[flight.evidence, index]
-        bends = np.abs(np.diff(values, 2)) > _BENT * max(1.0, float(np.abs(values).max(initial=0.0)))
+        bends = np.abs(np.diff(values, 2)) > bent_from * max(1.0, float(np.abs(values).max(initial=0.0)))
         # a measurement between two samples bends both of them
         first = np.flatnonzero(bends & ~np.concatenate([[False], bends[:-1]]))
         lines.append(np.diff(first))
