@@ -43,7 +43,7 @@ from adapters.errors import InfeasibleError
 from gains.analysis.augment import Augmentation, ErrorModel, FreeRows
 from gains.plants.plant import FloatArray
 from gains.synthesis.conditioning import Coordinates, with_floor
-from gains.synthesis.design import ObserverMatrices, observer_matrices
+from gains.synthesis.design import ObserverMatrices, observer_matrices, split_direct
 from gains.synthesis.solver import DEFAULT, ROBUST, bordered, gain_energy, solve_program
 
 _LEAST_MU_WEIGHT = 1e-4
@@ -401,9 +401,7 @@ def user_design(problem: Inequality, solution: Solution, augmentation: Augmentat
     """Return the observer of a solution in the user's units; the left inverse is the augmentation's, moved."""
     Y = problem.coordinates.S @ np.linalg.solve(solution.P, solution.Yb)
     K, L_i, L_e = user_gains(problem, np.linalg.solve(solution.P, solution.R), solution.L_e, Y)
-    direct = len(L_e) - problem.a1
-    L_z = L_e[:direct] if direct else None
-    return observer_matrices(augmentation.moved(Y @ problem.basis), K, L_i, L_e[direct:], L_z)
+    return observer_matrices(augmentation.moved(Y @ problem.basis), K, L_i, *split_direct(L_e, problem.a1))
 
 
 def _bounded(problem: Inequality, P: Any, R: Any, L_e: Any) -> list[Any]:

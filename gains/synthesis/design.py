@@ -49,6 +49,12 @@ class ObserverMatrices:
         return float(max(np.max(np.abs(gain), initial=0.0) for gain in (self.K, self.L_i, self.L_p, self.L_z)))
 
 
+def split_direct(L_e: FloatArray, a1: int) -> tuple[FloatArray, FloatArray | None]:
+    """Return L_p, the last a1 rows of the direct gains, and L_z, the rows before; None if there are none."""
+    first = len(L_e) - a1
+    return L_e[first:], L_e[:first] if first else None
+
+
 def observer_matrices(
     augmentation: Augmentation, K: FloatArray, L_i: FloatArray, L_p: FloatArray, L_z: FloatArray | None = None
 ) -> ObserverMatrices:
