@@ -21,7 +21,7 @@ from gains.synthesis.compilation import compile_gains
 from monitor.estimation.affine import AffineObserver
 from monitor.fitting.flights import Flight
 from monitor.profile import FaultChannel
-from monitor.vehicles.inertial.fit import _BENT, _line_s
+from monitor.vehicles.inertial.fit import _BENT_DOUBLE, _BENT_SINGLE, _line_s
 from monitor.vehicles.inertial.fit import _alarms as sensor_alarms
 from monitor.vehicles.inertial.identify import inertial_bank, inertial_hypotheses, inertial_plant, smallest_faults
 from monitor.vehicles.inertial.sensor_fit import (
@@ -218,7 +218,7 @@ def test_a_compass_that_healthy_flight_turns_around_is_not_watched(off: float, w
     assert [alarm.rule.channel for alarm in found] == ["compass"] * watched
 
 
-@pytest.mark.parametrize(("kind", "bent_from"), [(np.float32, _BENT[0]), (np.float64, _BENT[1])])
+@pytest.mark.parametrize(("kind", "bent_from"), [(np.float32, _BENT_SINGLE), (np.float64, _BENT_DOUBLE)])
 def test_lines_between_slow_measurements_are_found_although_numbers_are_rounded(
     kind: type[np.floating[Any]], bent_from: float
 ) -> None:

@@ -63,9 +63,8 @@ class Uncertainty:
     ``faults`` are all fault channels (a,) in the order of the estimates, ``scale`` has factors on the standard
     deviations of the error system, for some of them. ``moves`` has, for some, how far noise moves an estimate within
     ``rows`` samples, as a multiple of its standard deviation. ``lines_s`` has, for some, the time between two
-    measurements. ``lag_s`` is :data:`LAG_S`, or the smoothing alone where
-    the model has all other lags. ``of_sizes`` returns the standard deviation of n sizes of alarms, as
-    :class:`SizeErrors` says.
+    measurements. ``lag_s`` is :data:`LAG_S`, or the smoothing alone where the model has all other lags. ``of_sizes``
+    returns the standard deviation of n sizes of alarms, as :class:`SizeErrors` says.
     """
 
     def __init__(

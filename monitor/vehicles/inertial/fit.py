@@ -125,9 +125,9 @@ _SUDDEN = {
 threshold within the washout; as a random walk, it drifts within the test's window by the square root of that share
 of time: a position that moved further is no drift. Wind and currents act on barometer and compass at once and in
 full."""
-_BENT = 1e-6, 1e-12
-"""Smallest bend that counts, relative to the signal's size, of numbers of single and of double precision (a GPS's):
-above the rounding of a straight line. Heights in logs of PX4 bend by 1e-7 between measurements."""
+_BENT_SINGLE, _BENT_DOUBLE = 1e-6, 1e-12
+"""Smallest bend that counts, relative to the signal's size, of numbers of single and of double precision: above the
+rounding of a straight line. Heights in logs of PX4, of single precision, bend by 1e-7 between measurements."""
 _MOST_OF_JUMPS = 1.5
 """Largest ratio of the level to the largest healthy step: steps are too rare to fit a tail to them."""
 _TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
@@ -268,7 +268,8 @@ def _designed(
         alarms = [found for found in alarms if found.rule.channel not in silent]
     watched, signals = {found.rule.channel for found in alarms}, [channel.name for channel in channels.channels]
     lines_s = {
-        name: _line_s(raw, signals.index(signal), signal_hz, _BENT[signal == GPS[0]])
+        # a GPS's fixes alone are of double precision
+        name: _line_s(raw, signals.index(signal), signal_hz, _BENT_DOUBLE if signal == GPS[0] else _BENT_SINGLE)
         for name, signal in _SUDDEN.items()
         if name in watched and signal in signals
     }
