@@ -6,7 +6,7 @@ import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gains.identification.lag import lag_taps, shortened
+from gains.identification.lag import followed, lag_taps, shortened
 
 RATE_HZ = 100.0
 
@@ -30,8 +30,8 @@ def test_a_slow_input_after_lag_and_delay_is_followed_within_a_thousandth() -> N
     lagged = scipy.signal.lfilter([1.0 - keep], [1.0, -keep], np.concatenate([np.zeros(2 * fine), u[: -2 * fine]]))
     means = np.asarray(lagged).reshape(-1, fine).mean(axis=1)
     taps = lag_taps(np.array([0.02, 0.05, 0.0]), RATE_HZ)
-    followed = scipy.signal.lfilter(taps, [1.0], u[::fine])
-    assert np.abs(np.asarray(followed) - means)[200:].max() < 2e-3
+    mean = scipy.signal.lfilter(taps, [1.0], u[::fine])
+    assert np.abs(np.asarray(mean) - means)[200:].max() < 2e-3
 
 
 def test_a_running_model_has_the_fewest_taps_that_hold_the_response() -> None:
@@ -40,3 +40,11 @@ def test_a_running_model_has_the_fewest_taps_that_hold_the_response() -> None:
     assert len(few) < 0.7 * len(whole)
     assert few.sum() == pytest.approx(1.0)
     assert few == pytest.approx(whole[: len(few)], rel=6e-3)
+
+
+def test_a_first_order_recursion_goes_on_from_its_start_in_each_row() -> None:
+    drive = np.random.default_rng(1).normal(size=(3, 50))
+    x = followed(drive, 0.9, 2.0)
+    assert x[:, 0] == pytest.approx(2.0)
+    assert x[:, 1:] == pytest.approx(0.9 * x[:, :-1] + drive)
+    assert followed(drive[1], 0.9, 2.0) == pytest.approx(x[1])

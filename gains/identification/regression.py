@@ -14,8 +14,6 @@ measured and not taken: it weighs what changes within samples, where the model i
 throttle has two fifths of its effect, a recorded rover's error of one step grows from .014 to .030 rad/s).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -23,6 +21,7 @@ from itertools import product
 import numpy as np
 
 from adapters.errors import ModelError
+from gains.identification.lag import followed
 from gains.identification.segment import Segment
 from gains.plants.plant import FloatArray
 
@@ -139,14 +138,12 @@ def fit_axis(
 
 def lagged(effect: FloatArray, delay_s: float, lag_s: float, rate_hz: float) -> FloatArray:
     """Return an effect (N,) after transport delay and first-order lag, at rest before its start."""
-    from scipy.signal import lfilter
-
     steps = np.arange(len(effect)) - delay_s * rate_hz
     delayed: FloatArray = np.interp(steps, np.arange(len(effect)), effect)
     if lag_s <= 0.0:
         return delayed
     keep = float(np.exp(-1.0 / (lag_s * rate_hz)))
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], delayed, zi=[keep * delayed[0]])[0])
+    return followed((1.0 - keep) * delayed[1:], keep, delayed[0])
 
 
 def coloured_inflation(residual: Sequence[FloatArray], rate_hz: float) -> float:
@@ -266,13 +263,10 @@ class _Data:
         )
 
     def _simulated(self, theta: FloatArray, lag_s: float, delay_s: float) -> Iterator[FloatArray]:
-        from scipy.signal import lfilter
-
         c = theta[-1] if self.model.offset else 0.0
         for u, z, y in zip(self.u, self.z, self.y, strict=True):
             drive = theta[1] * lagged(u, delay_s, lag_s, self.rate_hz) + z @ theta[2 : 2 + z.shape[1]] + c
-            x = lfilter([0.0, 1.0], [1.0, -theta[0]], drive, zi=[y[0]])[0]
-            yield np.asarray(x)[self.settle : -1]
+            yield followed(drive[:-1], theta[0], y[0])[self.settle : -1]
 
 
 def _with(a: float, X: FloatArray, target: FloatArray) -> FloatArray:

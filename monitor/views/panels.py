@@ -1,7 +1,5 @@
 """The panels of a run's fault channels: which channels get one of their own, which share one, and their axes."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -10,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from monitor.core.lagged import exponential_mean
 from monitor.display import display_unit
 from monitor.estimate import Layout
 from monitor.estimation.input_curve import LEAST_COMMAND
@@ -65,11 +64,9 @@ def in_display_units(run: RunView) -> RunView:
 
 def _smoothed(trace: Trace, u: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a signal smoothed like the estimates (N,)."""
-    from scipy.signal import lfilter
-
     rate_hz = 1e9 / float(np.median(np.diff(trace.vehicle_ns))) if len(u) > 1 else trace.layout.rate_hz
     keep = keep_share(trace.layout.smoothing_s, rate_hz)
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], u, zi=[keep * u[0]])[0])
+    return np.asarray(u[0] + exponential_mean((u - u[0])[:, None], keep)[:, 0])
 
 
 FEW = 6

@@ -42,7 +42,7 @@ from gains.identification.coloured_noise import (
     past_errors,
     whitened,
 )
-from gains.identification.lag import lag_taps, shortened
+from gains.identification.lag import followed, lag_taps, shortened
 from gains.identification.segment import Segment
 from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant, on_each
 
@@ -391,9 +391,7 @@ class _Descent:
 
     def _followed(self, driven: FloatArray, a: float) -> FloatArray:
         """Return the response of an axis to its inputs (c, N), whose constant has a response that settles at one."""
-        from scipy.signal import lfilter
-
-        x = np.asarray(lfilter([0.0, 1.0], [1.0, -a], driven, axis=-1))
+        x = followed(driven[:, :-1], a)
         x[self.s] *= 1.0 - a
         return x
 
@@ -410,8 +408,6 @@ class _Descent:
 
         ``moved`` are the derivatives of the taps.
         """
-        from scipy.signal import lfilter
-
         q = float(self.shared[_CURVES[o]])
         a = float(self.a[o])
         for stretch in self.stretches:
@@ -421,7 +417,7 @@ class _Descent:
             x = self._followed(np.vstack([self._delayed(stretch, taps, q), *slopes]), a)
             offset = self.offset[o, self.places[stretch.flight]]
             simulated = self.B[o] @ x[: self.s] + offset * x[self.s] + y[0] * a ** np.arange(len(y))
-            by_a = lfilter([0.0, 1.0], [1.0, -a], simulated - offset)
+            by_a = followed((simulated - offset)[:-1], a)
             yield np.vstack([y - simulated, x[: self.s + 1], by_a, x[self.s + 1 :]]), self._counted(stretch)
 
     def _moved_taps(self, length: int) -> list[FloatArray]:
