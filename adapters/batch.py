@@ -4,8 +4,6 @@ Work that is the same for all messages of a batch is done once. A batch holds ex
 by one: :func:`messages` returns them, :func:`pack` makes a batch from messages.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat

@@ -1,7 +1,5 @@
 """Channel mapping: the message, field, unit and clock that each input or output is taken from."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields

@@ -1,7 +1,5 @@
 """Output, arguments and sockets of commands: results on stdout, remarks on stderr, both without control characters."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """Commands of the telemetry side: ``fauio simulate``."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

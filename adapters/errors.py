@@ -20,8 +20,6 @@ Whatever else is raised is either an ``OSError`` of the operating system, which 
 or a defect of this program.
 """
 
-from __future__ import annotations
-
 
 def printable(text: str) -> str:
     """Return a text with a question mark for each control character, including line ends.

@@ -7,8 +7,6 @@ without its smoothing. If packets are numbered, gaps in the numbers are losses; 
 least twice the usual step is a loss.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable
 from statistics import median

@@ -1,7 +1,5 @@
 """One decoded telemetry message, whatever link or recording it came from."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final

@@ -3,8 +3,6 @@
 A full disk leaves an existing file as it was, and the error names the file.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

@@ -4,8 +4,6 @@ Ask a message's source for the trait in question; do not compare names. A new so
 yields its batches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

@@ -7,8 +7,6 @@ has decayed (:mod:`monitor.estimation.affine`). If one channel is ``lost`` alone
 have no evidence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType

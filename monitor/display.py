@@ -1,7 +1,5 @@
 """Sizes in people's words: the only module that turns a number and its unit into words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

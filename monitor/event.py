@@ -1,7 +1,5 @@
 """Alarm events: the JSON object that subscribers, journals and files carry, one per change of state."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields, replace

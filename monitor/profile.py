@@ -6,8 +6,6 @@ PROFILE/<observer>.gains.json   the compiled gains; they know the hash of their 
                                 hypothesis, <observer>.<faults>.gains.json
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence

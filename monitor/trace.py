@@ -1,7 +1,5 @@
 """A run as plots need it: each observer's series as arrays, and alarms as spans of time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

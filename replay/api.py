@@ -1,7 +1,5 @@
 """Functions of ``import fauio`` that combine several parts of the program; docs/library.md lists all."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial

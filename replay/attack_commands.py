@@ -1,7 +1,5 @@
 """The commands that put faults into recordings: inject, detectability."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

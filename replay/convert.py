@@ -1,7 +1,5 @@
 """Convert any readable recording to MCAP: every message, typed, with its time of arrival."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from importlib.metadata import version
 from itertools import chain, islice

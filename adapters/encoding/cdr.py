@@ -1,7 +1,5 @@
 """CDR, the encoding of ROS 2 and PX4 messages in transit: bytes -> nested fields, by the message's definition."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

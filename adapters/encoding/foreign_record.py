@@ -4,8 +4,6 @@ A message is named after its topic without the leading slash, as over Zenoh (:mo
 has the same source, :data:`adapters.source.ZENOH`: one profile serves a robot both live and in its recordings.
 """
 
-from __future__ import annotations
-
 import json
 from base64 import b64encode
 from collections.abc import Callable, Mapping

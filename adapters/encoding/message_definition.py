@@ -1,7 +1,5 @@
 """ROS 2 message definitions: names of types, and the .msg files of a type and of all types it uses."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One telemetry message as a record of a log: encodes it, and decodes it by topic."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

@@ -1,7 +1,5 @@
 """Encoded record of a message log, ready to be written to any number of files."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

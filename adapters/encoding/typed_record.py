@@ -4,8 +4,6 @@ The types of MAVLink messages are made from pymavlink's tables, those of an onbo
 themselves.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final

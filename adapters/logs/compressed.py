@@ -1,7 +1,5 @@
 """Reads files plain or compressed (.xz, .gz), piece by piece, up to the last byte before any damage."""
 
-from __future__ import annotations
-
 import lzma
 import zlib
 from collections.abc import Callable, Iterator

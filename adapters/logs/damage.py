@@ -1,7 +1,5 @@
 """Damage of recordings, as lines for people: the same words from every reader."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

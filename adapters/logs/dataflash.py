@@ -4,8 +4,6 @@ A record consists of two bytes that mark it, its kind, and fields in the format 
 kind. There are no checksums: damage shows only where no record begins.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The vehicle's parameters in a recording, from each kind of record that holds one."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 from typing import Final

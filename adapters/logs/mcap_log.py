@@ -6,8 +6,6 @@ index, of which only the bytes stay, a write that fails is taken back, and the f
 is room for one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import io

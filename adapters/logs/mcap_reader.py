@@ -1,7 +1,5 @@
 """Reads message logs in MCAP, ours and others', finished or not, and reports what is missing."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import struct

@@ -1,7 +1,5 @@
 """Finishes MCAP files that were not closed: the mcap library writes all whole messages anew, with an index."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

@@ -4,8 +4,6 @@ An onboard log is a chain of records, each with its kind and length. A reader go
 where they begin; :class:`Records` then decodes all records of a kind at once.
 """
 
-from __future__ import annotations
-
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence

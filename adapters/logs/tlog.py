@@ -3,8 +3,6 @@
 A record is the Unix time in microseconds, eight bytes, big-endian, and one packet as it came from the link.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Container, Iterator
 from itertools import chain

@@ -4,8 +4,6 @@ https://docs.px4.io/main/en/dev_log/ulog_file_format. The format has no checksum
 invalid. The text of a format gives the positions of the fields in its records, including nested types and arrays.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable, Mapping

@@ -4,8 +4,6 @@ pymavlink's own connections are not used: they print to standard output, block w
 address that ever sent; its TCP server serves one client for ever.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

@@ -4,8 +4,6 @@ Logic without clock and socket: the times are given, the packets are returned. A
 so that a ground station shows its texts with the vehicle.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from adapters.mavlink.signing import SigningKey, unix_stamp

@@ -1,7 +1,5 @@
 """Heartbeats: whether an autopilot sent one, its kind of vehicle and its flight mode."""
 
-from __future__ import annotations
-
 import functools
 
 from adapters.batch import Columns, one_message

@@ -1,7 +1,5 @@
 """MAVLink packets as columns, both for the many packets of a log and for the few that a link brings at a time."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Container
 

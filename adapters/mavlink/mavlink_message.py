@@ -5,8 +5,6 @@ with pymavlink's own decoder. Packets are found in bytes by :mod:`adapters.mavli
 :mod:`adapters.mavlink.signing`.
 """
 
-from __future__ import annotations
-
 import functools
 import struct
 from collections.abc import Callable

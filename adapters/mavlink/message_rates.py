@@ -7,8 +7,6 @@ The monitor presents itself as an onboard computer with a system id of its own a
 the vehicle has to notice: PX4 takes any heartbeat of a ground station for that, ArduPilot any of system 255.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Mapping

@@ -9,8 +9,6 @@ A vehicle without a clock stamps its packets with the time that it last knew. Un
 has sent it a better time, its first packets are too old and refused as replayed, as in the guide.
 """
 
-from __future__ import annotations
-
 import enum
 import hashlib
 import hmac

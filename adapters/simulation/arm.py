@@ -13,8 +13,6 @@ jumps, so no step sees a discontinuity. Checked against DOP853 at a relative tol
 case 3, where the link passes its upper equilibrium and errors grow to 2e-9.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

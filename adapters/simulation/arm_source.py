@@ -6,8 +6,6 @@ and ``data[5]`` (f_s). Floats have 32 bits there. Zenoh: ``{"time_ns", "u": [1],
 [1]}``.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator, Sequence

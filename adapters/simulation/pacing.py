@@ -1,7 +1,5 @@
 """Yields items when they are due, as a live source would, and sends packets so."""
 
-from __future__ import annotations
-
 import socket
 import time
 from collections.abc import Iterable, Iterator

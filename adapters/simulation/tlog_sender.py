@@ -1,7 +1,5 @@
 """Sends a telemetry log over UDP as if live: ``python -m adapters.simulation.tlog_sender FLIGHT udp:HOST:PORT``."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

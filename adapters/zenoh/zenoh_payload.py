@@ -1,7 +1,5 @@
 """Payloads of Zenoh telemetry -> named fields: JSON objects, and CDR if the message's type is known."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -15,8 +15,6 @@ means that (A, Pi C) has no hidden mode that stays, and the fourth that ([A, E_f
 set that is not estimable while all its parts are is a smallest reason.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace

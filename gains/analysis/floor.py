@@ -15,8 +15,6 @@ even if the observer knew them: the largest floor over some constant slopes is a
 model's own g alone it is a floor if g attains these slopes, in small motions around that point.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

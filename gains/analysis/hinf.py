@@ -18,8 +18,6 @@ all of them and between neighbours. An interval above the level has its ends amo
 points.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

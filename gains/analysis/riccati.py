@@ -1,7 +1,5 @@
 """Riccati's and Lyapunov's equations by doubling, without SciPy, which a running monitor does not import."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gains.plants.plant import FloatArray

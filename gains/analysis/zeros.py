@@ -5,8 +5,6 @@ at best. The zeros of the whole, [A - sI, 0, E_f; C, D_f, 0], are motions of the
 at 0 no observer exists, elsewhere they limit how well an observer follows fast faults.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

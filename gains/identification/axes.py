@@ -1,7 +1,5 @@
 """Several outputs of a vehicle, each driven by one actuator of its own, identified together as one plant."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -5,8 +5,6 @@ filter 1 - sum_j d_j q^-j goes over both of its sides. A row without a measureme
 after it are predicted from as many as there are since, each with the variance of that shorter prediction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ A parameter is determined where its standard error is a small part of its size. 
 the correlation of their estimates says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

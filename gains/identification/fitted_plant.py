@@ -5,8 +5,6 @@ recordings, including correlations of the estimates, is added to the disturbance
 outputs).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -6,8 +6,6 @@ held over each sample: its scale is its standard deviation, as in a plant's dist
 others are represented by the white signals that are nearest to them.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ Standard errors come from the Jacobian, and are enlarged if the errors of whole 
 Source: Ljung, System Identification, 2nd ed. 1999, chapters 7, 9 and 16.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Tests of a model's residuals: whether they are white and normal."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

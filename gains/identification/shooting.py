@@ -9,8 +9,6 @@ and Pereyra 1973): the remaining errors and their sensitivities are orthogonal t
 state.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -7,8 +7,6 @@ Matthews 2002). Discrete plants are evaluated as written:
     x+ = Phi x + Gamma_0 v(k) + Gamma_1 v(k+1) + gamma + Lambda_0 g(x(k)) + Lambda_1 g(x(k+1))
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -16,8 +16,6 @@ how fast arguments move (``rate``: twice their largest distance from the predict
 period), these disturbances are part of the sampled plant, and proofs for it hold for the continuous plant.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

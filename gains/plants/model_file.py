@@ -13,8 +13,6 @@
 A vector over names is a list, a table { name = number } or one name, whose entry then is 1.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Vectors and matrices over names, read from the tables of a model file; zeros replace mistakes, which are recorded."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -11,8 +11,6 @@ A sampled plant evaluates its nonlinearities in the middle of the sample that be
 (:mod:`gains.plants.discretise`).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace

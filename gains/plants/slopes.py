@@ -5,8 +5,6 @@ meets the largest value seen at a point. The result always bounds the slope (up 
 margin of a certificate); the splits only make it tight.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math

@@ -1,7 +1,5 @@
 """The observers for comparison, by name, and their figures: reconstructions and a Kalman filter."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

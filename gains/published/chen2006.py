@@ -19,8 +19,6 @@ The form estimates no f_a. Added here: f_a is solved from the output equation th
 fa^' = ((Cb Dd)_a^+ (y' - C (A x^ + B v + c + G g)) - fa^) / tau, integrated once so that y is never differentiated.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

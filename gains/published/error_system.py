@@ -19,8 +19,6 @@ against w and w' as independent signals is not: ``"zeta"`` removes the direct pa
 ``"all"`` from all of e as the printed inequalities do. Y_s is zero if an observer needs no assumption about f_s.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -21,8 +21,6 @@ x~' = R x~ + T_u G g~ + (T_u Bd - L_1u D) w - H D w', and with Q = P L_1u the bo
 (Lx: rows scaled by the Lipschitz bounds; alpha is 0 in the form attributed to the original.)
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from adapters.errors import InfeasibleError

@@ -15,8 +15,6 @@ the equality (L1 E_f)' P = R Cb, PN = P L1 A_z - Y Cb and xi = [zeta~, fa~, g~, 
     ffa': (1/sigma) S     and -mu I for w, w' and fa'   (H: rows scaled by the Lipschitz bounds)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -13,8 +13,6 @@ outputs show of the one-sample uncertainty), because an output without noise wou
 compiles to the same gains as every observer, in the current form x^(k|k).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

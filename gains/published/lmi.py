@@ -4,8 +4,6 @@ The inequalities are written with E, D, the identity that weighs the errors and 
 scaled versions, so that every bound is for the same [w; w'; fa'] and e as ours.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

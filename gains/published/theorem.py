@@ -39,8 +39,6 @@ semidefinite. A slope that is constant (a_ij = b_ij) is no uncertainty: it goes 
 and does not multiply the vertices. H_i with fewer rows than nbar are filled up with zero rows of slope zero.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass, replace

@@ -16,8 +16,6 @@ It has no sensor faults, no disturbance and no noise, and bounds no H-infinity n
 learning rate times (E_f' P E_f)^-1: f_a~ then decays at about that rate.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from adapters.errors import InfeasibleError

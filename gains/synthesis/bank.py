@@ -5,8 +5,6 @@ the hypothesis is right, the residual of that observer stays as small as noise a
 fault acts, it grows, unless no output distinguishes the two (structured residuals).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

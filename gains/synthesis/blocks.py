@@ -7,8 +7,6 @@ with the sixth power of the size. The gains, and P, of the whole are those of th
 certified like any design.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 

@@ -32,8 +32,6 @@ P > 0 has to be a constraint of its own: the inequality alone also holds for err
 of decay rates [low, high] is a constraint with the same P: T + T^T + 2 low P <= 0 and T + T^T + 2 high P >= 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -31,8 +31,6 @@ imply the same for the integrals, with w' and f_a' for w+ and df_a. Without P > 
 stability.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Literal

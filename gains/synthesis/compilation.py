@@ -12,8 +12,6 @@ What is published of zeta^ is zeta^ + L_z yt if there is an L_z. Integrators of 
 fa^ = q1^ + L_p yt and q1+ = q1^ + T q2^ + ...
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import fields

@@ -6,8 +6,6 @@ weights, the stationary covariance of the one-step errors is S S', that of the i
 predicts the size of mu.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -21,8 +21,6 @@ the last value, s = st + X1 [y; v; g(k-1)], and g(k-1) is one more entry of the 
 zero, an error of X1 g that decays like every other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple

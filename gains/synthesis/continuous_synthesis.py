@@ -10,8 +10,6 @@ It is solved in the coordinates of a continuous Kalman filter's errors and in it
 inside its boundary, gives the bound that is certified.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator

@@ -12,8 +12,6 @@ plant with many vertices one inequality with multipliers is tried first in place
 there are too many vertices to enumerate. Only a solution that passes :mod:`gains.synthesis.certificate` counts.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Iterator, Sequence

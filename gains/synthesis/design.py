@@ -1,7 +1,5 @@
 """A designed observer: gains in the user's units, the matrix that proves their bound, and that bound."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal

@@ -15,8 +15,6 @@ for slopes that vary in any way from sample to sample; if the spectral radius is
 Noise counts once: with the error coordinates zeta~ + F D w only w itself drives the error, not w and w+.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Mapping
 from typing import Any

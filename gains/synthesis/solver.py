@@ -1,7 +1,5 @@
 """Clarabel behind CVXPY, with settings that solve badly conditioned inequalities to their optimum."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any

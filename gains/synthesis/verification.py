@@ -10,8 +10,6 @@ exactly, from which L1 and L_q follow. The distance to that observer is part of 
 of N, J and the matrices that run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from fractions import Fraction

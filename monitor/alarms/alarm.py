@@ -27,8 +27,6 @@ event carries the time at which its sample was known, so no event comes before i
 that it causes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace

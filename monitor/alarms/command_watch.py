@@ -4,8 +4,6 @@ MAVLink without signing obeys everybody. An attacker disarms, reboots, changes t
 parameters; the vehicle obeys, and no part fails.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

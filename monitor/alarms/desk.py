@@ -17,8 +17,6 @@ Evidence raises, updates and clears the alarms. The desk adds the operators' sid
 The desk numbers the events. It knows time only from messages, so a replay of a recording repeats what it did.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -3,8 +3,6 @@
 They depend only on messages and their times of arrival, like everything in the pipeline.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

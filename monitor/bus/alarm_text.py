@@ -1,7 +1,5 @@
 """One readable line per alarm event, for people at a terminal."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 from adapters.errors import printable

@@ -1,7 +1,5 @@
 """Zenoh keys of the contract: where the monitor publishes what."""
 
-from __future__ import annotations
-
 import re
 
 from adapters.errors import UsageError

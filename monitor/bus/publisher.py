@@ -1,7 +1,5 @@
 """Zenoh outputs of one vehicle's monitor: alarms, estimates, status, and answers to later queries."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections import deque

@@ -1,7 +1,5 @@
 """JSON Schemas of everything that is published and of operators' commands; ``docs/schemas`` has a file of each."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from typing import Any

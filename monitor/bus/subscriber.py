@@ -1,7 +1,5 @@
 """Alarm events of one or all vehicles from Zenoh, the current state first."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections import deque

@@ -1,7 +1,5 @@
 """A condition of a flight that is no fault: its kind, its begin and its sizes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal

@@ -5,8 +5,6 @@ half seconds (:mod:`monitor.conditions.half_seconds`) are processed one after th
 result does not depend on how the telemetry is cut into batches.
 """
 
-from __future__ import annotations
-
 import re
 from collections import deque
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Means of a multirotor's signals over half seconds of flight, from which conditions are found."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -13,8 +13,6 @@ The exponent p is only known to lie between 1 (thrust in proportion to the comma
 profile has learned the curve.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -1,7 +1,5 @@
 """Find a drift of the pressure at sea level: heights by barometer and by GPS slowly diverge."""
 
-from __future__ import annotations
-
 from monitor.conditions.condition import FlightCondition
 from monitor.conditions.half_seconds import HalfSecond
 from monitor.display import number_text

@@ -10,8 +10,6 @@ w_east separates them as soon as the vehicle has flown at different velocities. 
 speed, the wind's size is uncertain, its direction is not.
 """
 
-from __future__ import annotations
-
 import math
 
 from monitor.conditions.condition import FlightCondition

@@ -1,7 +1,5 @@
 """Configuration of the daemon: its keys, their defaults, and how a TOML file is read, all mistakes at once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Checks of single values of the daemon's configuration: each raises a ValueError with a message for the user."""
 
-from __future__ import annotations
-
 import ipaddress
 import re
 from difflib import get_close_matches

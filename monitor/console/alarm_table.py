@@ -1,7 +1,5 @@
 """The table of active alarms for operators, built from alarm events, most urgent first."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The live table of ``fauio alarms`` on a terminal."""
 
-from __future__ import annotations
-
 import os
 import queue
 import select

@@ -1,7 +1,5 @@
 """``fauio completion``: a script for bash, zsh or fish that completes commands, options and files."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator

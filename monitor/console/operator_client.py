@@ -1,7 +1,5 @@
 """The client of an operator's commands: finds the alarm that is meant, sends the command, returns the reply."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The console's bounded history of a vehicle: estimates, link, track, flight modes, messages."""
 
-from __future__ import annotations
-
 import base64
 import math
 from collections import deque

@@ -1,7 +1,5 @@
 """Checks of ``fauio doctor`` about the machine: folders, disk, serial devices, receive buffers, the clock."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The installed versions of Python, of this program and of its libraries, and missing libraries."""
 
-from __future__ import annotations
-
 import platform
 import re
 from collections.abc import Sequence

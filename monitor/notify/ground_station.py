@@ -3,8 +3,6 @@
 No command is sent: a heartbeat and the computer's status once a second, and a STATUSTEXT for each notice.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

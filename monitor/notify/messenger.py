@@ -4,8 +4,6 @@ While an outlet pauses after messages or after a failure, new notices wait and a
 of alarms makes a few messages.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

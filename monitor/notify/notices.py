@@ -1,7 +1,5 @@
 """Notices to people who watch no screen: the alarm events that deserve one, once each, and their words."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from typing import Literal, NamedTuple, get_args
 

@@ -1,7 +1,5 @@
 """Outlets of notices: services that Apprise supports, and the user's own programs."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

@@ -1,7 +1,5 @@
 """Everything of one vehicle that goes to disk: each record is encoded once, for the recording and for the black box."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

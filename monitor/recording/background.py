@@ -1,7 +1,5 @@
 """Work that waits for a disk, in its own threads: a disk that hangs costs recordings, not monitoring."""
 
-from __future__ import annotations
-
 import functools
 import logging
 import threading

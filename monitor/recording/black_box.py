@@ -1,7 +1,5 @@
 """Black box: for each raised alarm a clip of its own, from some seconds before to some seconds after."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections import deque

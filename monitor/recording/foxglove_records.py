@@ -3,8 +3,6 @@
 https://docs.foxglove.dev/docs/sdk/schemas: ``foxglove.Log`` and ``foxglove.LocationFix``, as JSON.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections import deque

@@ -4,8 +4,6 @@ An SQLite database in WAL mode, whose every commit waits for the disk (``synchro
 :meth:`Journal.write` has committed survives ``kill -9`` and a power cut.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json

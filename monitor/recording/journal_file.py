@@ -1,7 +1,5 @@
 """The journal's database file: created, opened, refused if it is no journal, set aside if it is damaged."""
 
-from __future__ import annotations
-
 import contextlib
 import sqlite3
 import time

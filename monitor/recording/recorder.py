@@ -1,7 +1,5 @@
 """Flight recorder: a vehicle's records in MCAP files that every MCAP tool reads, one file or a series of files."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

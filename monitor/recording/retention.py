@@ -1,7 +1,5 @@
 """Keeps files of one kind within a budget, a vehicle's and all vehicles': deletes the oldest, and no other files."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

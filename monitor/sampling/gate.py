@@ -13,8 +13,6 @@ evidence counts. When the reported flight phase comes to allow evidence, the sam
 ground, before the first fix of the GPS or while the vehicle was carried about, are forgotten.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ The rules are at the top of :mod:`monitor.core.sampling`, which carries them out
 of telemetry for all samplers of a vehicle at once.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from monitor.core.sampling import SamplerCore

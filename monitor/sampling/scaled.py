@@ -6,8 +6,6 @@ would only amplify noise: all channels of such samples count as ``lost``, so an 
 no evidence.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from typing import ClassVar, NamedTuple

@@ -1,7 +1,5 @@
 """Which messages come too seldom: for a fit, and for an observer that samples faster than they come."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from statistics import median_high
 

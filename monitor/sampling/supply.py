@@ -4,8 +4,6 @@ Reports about batteries come seldom and without a time of measurement. The volta
 samples would wait: each sample takes the last report before it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

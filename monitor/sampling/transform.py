@@ -4,8 +4,6 @@ A transform turns samples of raw signals (``u`` in the order of its ``signals``)
 rate. It is deterministic, keeps its own state and restarts with a sample that is marked ``restart``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol

@@ -1,7 +1,5 @@
 """All kinds of vehicle. A new kind is a folder beside this module and an entry here."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

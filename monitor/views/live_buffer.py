@@ -1,7 +1,5 @@
 """One vehicle's data for the live view, in bounded memory: thinned in time, the oldest dropped."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence

@@ -8,8 +8,6 @@ listens on all interfaces unless told otherwise, grows without bound behind a cl
 process that ends. A child can be killed, and a server does not outlive its parent.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import resource

@@ -1,7 +1,5 @@
 """Colours that people with any colour vision tell apart (Okabe and Ito 2008), and their meanings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

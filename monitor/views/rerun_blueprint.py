@@ -1,7 +1,5 @@
 """The layout of a Rerun viewer: a tab per observer with faults, thresholds and residuals, above the alarms."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """A run in Rerun, live or replayed: entity paths, names, colours, and how values are sent."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A run as a Rerun recording that opens on faults with their thresholds, alarms and residuals."""
 
-from __future__ import annotations
-
 import errno
 import os
 from collections.abc import Sequence

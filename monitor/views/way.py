@@ -1,7 +1,5 @@
 """A vehicle's positions and attitudes in a log, to be shown on a map and in a scene of three dimensions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A change is called with the time and value of each measurement, before, during a
 need earlier values. Its result is used only while the attack lasts.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """``fauio inject``: write a recording with one more fault or attack in it, and the truth about that beside it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

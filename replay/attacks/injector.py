@@ -1,7 +1,5 @@
 """Put one fault or attack onto a recording, message by message, and note exactly what was altered."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace

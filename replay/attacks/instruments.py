@@ -6,8 +6,6 @@ sensor shows the same value in all of them. A position is in metres from latitud
 touches the ellipsoid (WGS-84) at the first fix; a pressure is an altitude in the standard atmosphere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import atan2, cos, degrees, hypot, radians, sin, sqrt

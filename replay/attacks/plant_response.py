@@ -20,8 +20,6 @@ autopilot is assumed to answer at once; a real one lags, and the rates change me
 as recorded.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

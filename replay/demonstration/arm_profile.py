@@ -1,7 +1,5 @@
 """The profile of the reference plant: the arm's built-in model, its gains, and thresholds from a healthy simulation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The content of one of fauio's files (a recording, a profile, a model or gains), as one JSON object."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path

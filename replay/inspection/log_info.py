@@ -1,7 +1,5 @@
 """The content of a recording: time, vehicles, messages, what could be watched with them, alarms, damage."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Charts of a run: series thinned to the resolution of a screen, as data that ``report.js`` and :mod:`.plot` draw."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Findings of a run for each channel: its alarms with size and certainty, and its largest evidence without alarms."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence

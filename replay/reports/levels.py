@@ -10,8 +10,6 @@ Rows in which an alarm of another channel of the same observer was active are le
 estimates, too.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

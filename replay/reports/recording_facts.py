@@ -1,7 +1,5 @@
 """The content of a recording, measured while it is read: how often each message came, and its gaps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 

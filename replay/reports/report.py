@@ -1,7 +1,5 @@
 """The report of a run as one HTML file: its findings, their certainty, what could not be checked, and their basis."""
 
-from __future__ import annotations
-
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence

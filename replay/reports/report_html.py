@@ -1,7 +1,5 @@
 """The parts of a self-contained page: escaped text, tables, lists, the page's frame."""
 
-from __future__ import annotations
-
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from hashlib import sha256

@@ -1,7 +1,5 @@
 """Everything that a run could not check, and why: without it, no alarm would look like no fault."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple

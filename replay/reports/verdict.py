@@ -1,7 +1,5 @@
 """The result of a run in one sentence, for readers of this sentence alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Watches a log with a profile learned from the begin of the same flight, by the pipeline of all other logs."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import replace

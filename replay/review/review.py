@@ -1,7 +1,5 @@
 """The verdict on a log: its findings, which one was first, and what could not be judged."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

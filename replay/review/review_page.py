@@ -1,7 +1,5 @@
 """The verdict on a log as one HTML page with charts of its evidence, which loads nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from monitor.bus.alarm_text import utc

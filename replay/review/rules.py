@@ -1,7 +1,5 @@
 """The findings that a review looks for."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from replay.review.findings import (

@@ -1,7 +1,5 @@
 """The recordings that the arguments of a command name, and the file that is written about each of them."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Replay many logs in several processes, with the same results in the same order even if a process dies."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import threading

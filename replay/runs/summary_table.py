@@ -1,7 +1,5 @@
 """A table with a row for each replayed log: CSV, written row by row, or Parquet if the file's suffix is that."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable, Mapping
 from pathlib import Path

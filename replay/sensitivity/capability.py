@@ -5,8 +5,6 @@ step of its size, of either sign; so is one of an input that healthy flight comm
 stays below the alarm threshold. Noise, gusts and model error are those of the recording.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from math import inf

@@ -4,8 +4,6 @@ Each trial plays a window around one onset through the pipeline: healthy flight,
 fault. If a healthy window raises an alarm without the fault, the trial is void: it tells nothing about the fault.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import ceil, inf

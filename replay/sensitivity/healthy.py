@@ -1,7 +1,5 @@
 """A healthy recording as the monitor processes it, and its windows around times of onset."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

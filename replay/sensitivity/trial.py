@@ -4,8 +4,6 @@ Faults are put into messages, not into samples. So the trial measures the whole 
 their resolution, the gate and the transforms, and it includes faults that only messages have (lost, late, repeated).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from math import inf, sqrt
 

@@ -1,7 +1,5 @@
 """A folder into which logs are copied: each log becomes a report, and a page lists all reports."""
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """``fauio watch``: its options, and the loop that checks the folder."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from dataclasses import asdict

@@ -8,8 +8,6 @@ variance of the remainder (Knapp and Hartung, Statistics in Medicine 22, 2003): 
 normal distribution are far too short.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """An observer of any plant: a model with free parameters, healthy recordings, certified gains, alarms."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The inertial observer of any vehicle: GPS, barometer, compass, gyro and accelerometer against each other."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from math import inf, pi, sqrt

@@ -22,8 +22,6 @@ altitudes and one accelerometer one fault can be named, so each has a hypothesis
 simulators is flat, not an ellipsoid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

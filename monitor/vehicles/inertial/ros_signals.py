@@ -5,8 +5,6 @@ forward, right, down and north, east, down. So y and z of vectors in body axes a
 and the heading counts clockwise from north where yaw counts anticlockwise from east.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import pi, radians
 from typing import Any

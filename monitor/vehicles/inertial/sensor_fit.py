@@ -4,8 +4,6 @@ No vehicle parameter is identified: the kinematics are known (:mod:`monitor.vehi
 to show the differences between healthy sensors, fast (noise) and slow (disturbance), and each sensor's delay.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import exp

@@ -1,7 +1,5 @@
 """Which messages hold the raw signals of the strapdown transform, as far as a vehicle sends them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import tau

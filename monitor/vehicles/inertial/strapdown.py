@@ -23,8 +23,6 @@ wrap: their channels need a ``period``, or the sampler's line across the wrap is
 with the same time stamp, which the sampler counts once, and has time 0 before the first fix.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from math import exp, isfinite

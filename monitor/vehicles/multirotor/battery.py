@@ -17,8 +17,6 @@ The plant compares the resistance with the usual one. The current, and the time 
 inputs for the alarm's sentence.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

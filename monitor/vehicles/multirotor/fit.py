@@ -1,7 +1,5 @@
 """The motors observer of a multirotor: any number of motors, effectiveness learned, one hypothesis for each motor."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

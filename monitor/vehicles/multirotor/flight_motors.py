@@ -5,8 +5,6 @@ commands, and where these come slowly or the flight was calm it underestimates t
 at 10 Hz two healthy minutes of hover had 37 % of the effects of agile flights, while their trim agrees within 0.1 %.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ these numbers, relative to the largest of each axis. The thrust of a command, an
 torque, follow from the flights.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import cos, radians, sin

@@ -21,8 +21,6 @@ Rotations faster than half the accelerometer's rate are aliased onto frequencies
 average over the time between samples: above the share :data:`_HIGHEST` of the rate lines are not used.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

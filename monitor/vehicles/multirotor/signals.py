@@ -1,7 +1,5 @@
 """Which messages hold a multirotor's motor commands, body rates and vertical acceleration, and in which units."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

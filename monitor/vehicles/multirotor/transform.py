@@ -15,8 +15,6 @@ therefore gives one tick later. A current below the expected one counts as equal
 current means a damaged propeller, which shows in the thrust.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

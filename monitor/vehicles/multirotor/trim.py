@@ -18,8 +18,6 @@ The size of a lost share does not depend on p_1, as e_o alone shows it while the
 and two minutes of hovering are enough; p_1 is the torque that manoeuvres need.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ as in a climb. A second channel is how many samples a second an accelerometer cl
 is clipped is missing in every speed and position.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

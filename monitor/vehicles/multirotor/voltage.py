@@ -8,8 +8,6 @@ Wooldridge, Econometric Analysis, 5.1):
     share = -cov(t, ln u) / cov(t, ln V),     within flights.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ through the air that follows from the GPS's velocity and the wind; the wind is e
 the surfaces: while its alarm is active, no surface is held responsible.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -12,8 +12,6 @@ with the measured forces as inputs, gusts are not in the residual. Each actuator
 follows the aileron by a mixer cannot be learned beside it in roll.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from gains.identification.axes import AxesFit, fit_axes

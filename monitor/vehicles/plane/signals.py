@@ -1,7 +1,5 @@
 """Which messages hold a plane's deflections and airspeed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from adapters.channels import Channel

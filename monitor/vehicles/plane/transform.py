@@ -8,8 +8,6 @@ reference,
 so that the plant has constant coefficients.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 

@@ -8,8 +8,6 @@ Throttle determines the specific force, not the speed: a slope slows a rover dow
 measure that. kappa, the curvature of turning rate over steering (linkage, tyres), belongs to the transform.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

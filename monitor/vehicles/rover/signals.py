@@ -1,7 +1,5 @@
 """Which messages hold a rover's steering, throttle and velocity."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -7,8 +7,6 @@ A steered wheel turns the vehicle in proportion to its rolling speed. With s = f
 so that the plant has constant coefficients. Wheels that are driven on two sides turn it at every speed: without s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """The facts that a log of ArduPilot states."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The facts that a recording of telemetry states."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The facts that a log of PX4 states."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial

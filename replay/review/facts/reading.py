@@ -1,7 +1,5 @@
 """Reads a log once for the facts that it states."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A motor, a surface or the steering had less or more effect than in the other parts of the flight."""
 
-from __future__ import annotations
-
 from replay.review.findings.learned_alarms import alarms_of
 from replay.review.findings.rule import Rule
 

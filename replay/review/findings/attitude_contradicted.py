@@ -1,7 +1,5 @@
 """The estimator's attitude was so tilted that the vehicle would have fallen, and it did not fall."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

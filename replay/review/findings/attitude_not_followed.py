@@ -1,7 +1,5 @@
 """The vehicle's roll or pitch was far from the attitude that its autopilot wanted."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The battery's voltage fell below that of an empty battery."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A sender that had not commanded the vehicle before take-off did so in flight, or there was a flood of commands."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

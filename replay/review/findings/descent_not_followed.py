@@ -1,7 +1,5 @@
 """The vehicle had to descend and its thrust was low, but it did not descend."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

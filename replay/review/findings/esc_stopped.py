@@ -1,7 +1,5 @@
 """A motor stood still, or turned much too slowly, while it was commanded to turn."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

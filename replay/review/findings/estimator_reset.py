@@ -1,7 +1,5 @@
 """The estimator reset its position or height in flight."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The autopilot itself announced a failsafe in flight."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

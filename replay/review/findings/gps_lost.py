@@ -1,7 +1,5 @@
 """The fix of a GPS that the estimator used was lost in flight."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

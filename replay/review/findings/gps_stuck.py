@@ -1,7 +1,5 @@
 """The receiver repeated one position for seconds, and then jumped to another."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The estimator refused measurements while the vehicle was still controlled."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

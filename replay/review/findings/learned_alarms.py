@@ -1,7 +1,5 @@
 """Judgements from the alarms of a profile that was learned from the flight's own begin."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from math import isnan, nan
 

@@ -1,7 +1,5 @@
 """The log ends while the vehicle is armed and in the air."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from replay.review.facts.log_facts import LogFacts, LogSignal

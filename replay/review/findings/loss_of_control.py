@@ -1,7 +1,5 @@
 """The time of a loss of control: everything later is a consequence, and no finding of its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One motor was at full command for long, and the vehicle still turned towards it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One motor was commanded to stop while the others flew on: the autopilot's own decision, not a failed motor."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All motors were commanded to stop in the air, by the landing detector, a person or another part of the autopilot."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from replay.review.facts.log_facts import LogFacts, LogSignal, Statement

@@ -1,7 +1,5 @@
 """The autopilot's controller used a position that its estimator did not have."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

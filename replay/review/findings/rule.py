@@ -1,7 +1,5 @@
 """A finding: a rule with its physics, and its judgement of one log."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final, Literal, get_args

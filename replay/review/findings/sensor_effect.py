@@ -1,7 +1,5 @@
 """A sensor no longer agreed with the others as it did at the begin of the flight."""
 
-from __future__ import annotations
-
 from math import inf
 
 from replay.review.findings.learned_alarms import alarms_of

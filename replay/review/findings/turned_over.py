@@ -1,7 +1,5 @@
 """The vehicle turned over in flight while its motors were commanded to turn."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from replay.review.facts.log_facts import LogFacts, LogSignal

@@ -1,7 +1,5 @@
 """Vibration was so strong that the accelerometers cannot be trusted."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
