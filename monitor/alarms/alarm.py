@@ -190,7 +190,7 @@ class AlarmRule:
     sees: str = ""  # size of fault that it detects and how fast, for people; empty: not measured
 
 
-TUNABLE = tuple(key.name for key in fields(AlarmRule) if key.type == "float")
+TUNABLE = tuple(key.name for key in fields(AlarmRule) if key.type is float)
 """Keys of a rule that may change while the monitor runs."""
 MEASURED = ("false_per_100h", "excluded_per_100h")
 """Keys of a rule that hold what the fit measured of exactly this rule."""
