@@ -85,3 +85,5 @@ class Given(NamedTuple):
     ahead: NDArray[np.float64] | None = None
     # raw signals that repeat for longer than they ever did in health, by name since when, in vehicle time, ns
     still: Mapping[str, int] = MappingProxyType({})
+    # where a sensor repeats one reading for longer than chance allows, by its fault (n,)
+    frozen: Mapping[str, NDArray[np.bool_]] = MappingProxyType({})

@@ -570,6 +570,7 @@ class ObserverChain:
             noise=sd[:, self._columns],
             command=commands[:, self._columns],
             rival=found.rival[:, self._columns],
+            frozen=self._frozen(given.frozen, estimates.armed),
         )
         return ChainRun(
             estimates,
@@ -585,6 +586,14 @@ class ObserverChain:
             None if changes is None else changes.sd,
             given.unflown,
         )
+
+    def _frozen(self, frozen: Mapping[str, NDArray[np.bool_]], armed: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+        """Return where the sensor of each fault's alarm is frozen and that is evidence (n, m); None if none is."""
+        if not any(rows.any() for rows in frozen.values()):
+            return None
+        never = np.zeros(len(armed), np.bool_)
+        names = (alarm.rule.channel for alarm in self._alarms[: len(self._faults)])
+        return np.column_stack([frozen.get(name, never) & armed for name in names])
 
     def _lasting(self, samples: Samples, rival: NDArray[np.intp]) -> list[bool]:
         """Return which faults' alarms are active and, over these samples, can be ended by their evidence alone.

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import strapdown_truth as truth
 
+from adapters.channels import Channel
 from adapters.errors import ModelError
 from adapters.sample import Samples
 from gains.analysis.estimability import problem_of
@@ -18,10 +19,11 @@ from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bank import Hypothesis
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
+from monitor.core.repeats import Frozen
 from monitor.estimation.affine import AffineObserver
 from monitor.fitting.flights import Flight
 from monitor.profile import FaultChannel
-from monitor.vehicles.inertial.fit import _BENT_DOUBLE, _BENT_SINGLE, _line_s
+from monitor.vehicles.inertial.fit import _BENT_DOUBLE, _BENT_SINGLE, _CALMER, _frozen, _line_s
 from monitor.vehicles.inertial.fit import _alarms as sensor_alarms
 from monitor.vehicles.inertial.identify import inertial_bank, inertial_hypotheses, inertial_plant, smallest_faults
 from monitor.vehicles.inertial.sensor_fit import (
@@ -32,7 +34,7 @@ from monitor.vehicles.inertial.sensor_fit import (
     delay_costs,
     identify_inertial,
 )
-from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, Strapdown
+from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, BAROMETER, Strapdown
 
 ONSET = 500
 WASHOUTS = Washouts(30.0, 10.0, 3.0)
@@ -232,3 +234,31 @@ def test_lines_between_slow_measurements_are_found_although_numbers_are_rounded(
     u = np.interp(grid, times, told)[:, None]
     samples = Samples(stamps, stamps, stamps, u, u[:, :0], always, always, stamps, always, nothing)
     assert _line_s([Flight(samples, always)], 0, 25.0, bent_from) == 0.2
+
+
+def heights(noise: float, moves: float, readings: int) -> FloatArray:
+    """Return a barometer's readings in steps of 1, 10 a second, each held for 10 ticks (10 * readings, 1)."""
+    rng, times = np.random.default_rng(1), 0.1 * np.arange(readings)
+    read = np.round(noise * rng.normal(size=readings) + moves * np.sin(0.5 * times))
+    return np.repeat(read, 10)[:, None]
+
+
+@pytest.mark.parametrize("moves", [0.0, 20.0])
+@pytest.mark.parametrize(("noise", "known"), [(0.0, False), (0.5, False), (20.0, True), (100.0, True)])
+def test_a_noisy_barometer_is_frozen_where_it_repeats_a_reading_longer_than_chance_allows(
+    noise: float, moves: float, known: bool
+) -> None:
+    u = heights(noise, moves, 2000)
+    always, stamps = np.ones(len(u), np.bool_), np.arange(len(u))
+    samples = Samples(stamps, stamps, stamps, u, u[:, :0], ~always, always, stamps, always, np.isnan(u))
+    found = _frozen([Flight(samples, always)], [Channel(BAROMETER[0], "VFR_HUD", "alt")], 100.0, 0.1)
+    assert bool(found) == known
+    if not known:
+        return
+    hold, reading = (round(100.0 * found[f"baro_{time}_s"]) for time in ("frozen", "reading"))
+    assert hold <= 500
+    # ten hours without motion and with a third of the noise, at a tenth of a false alarm an hour
+    calm = heights(noise / _CALMER, 0.0, 360_000)
+    signals, none = np.column_stack([np.arange(len(calm)) * 1.0, calm]), np.zeros((len(calm), 2), np.uint8)
+    frozen = Frozen([1], [1], [hold], [reading], 1).run(signals, none, none[:, 0].copy())[:, 0]
+    assert np.count_nonzero(np.diff(frozen.astype(int)) > 0) <= 2

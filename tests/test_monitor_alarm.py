@@ -47,6 +47,7 @@ def process(
     noise: NDArray[np.float64] | None = None,
     commands: NDArray[np.float64] | None = None,
     rival: NDArray[np.intp] | None = None,
+    frozen: NDArray[np.bool_] | None = None,
 ) -> list[AlarmEvent]:
     """Return the events of one batch of evidence; the command is 0.5 unless the share or ``commands`` are given."""
     count = len(evidence)
@@ -69,6 +70,7 @@ def process(
         noise=column[1],
         command=column[2],
         rival=None if rival is None else rival[:, None],
+        frozen=None if frozen is None else frozen[:, None],
     )
     events: list[AlarmEvent] = []
 
@@ -109,6 +111,29 @@ def test_evidence_that_stands_raises_once_and_clears_once_with_the_same_id() -> 
     assert raised.since_ns == cleared.since_ns == raised.time_ns
     assert raised.message == "motor1 delivers 10 % less than commanded"
     assert cleared.message == "motor1 is back to normal"
+
+
+def test_a_frozen_sensor_is_raised_at_once_and_clears_after_its_end_whatever_its_size() -> None:
+    frozen = np.zeros(1000, np.bool_)
+    frozen[100:600] = True
+    events = process(new_alarm(), np.zeros(1000), np.arange(1000) * STEP_NS, frozen=frozen)
+    assert [event.state for event in events] == ["raised", "cleared"]
+    assert events[0].message == "motor1: frozen, it repeats one reading exactly"
+    assert [event.vehicle_time_ms for event in events] == [1000, (600 + 49) * 10]
+
+
+def test_a_sensor_that_freezes_beside_another_active_alarm_raises_nothing() -> None:
+    other, frozen = new_alarm(), new_alarm()
+    count = 400
+    times_ns, always = np.arange(count) * STEP_NS, np.ones((count, 2), np.bool_)
+    evidence, stands = np.zeros((count, 2)), np.zeros((count, 2), np.bool_)
+    evidence[:, 0], stands[100:, 1] = 0.05, True
+    codes: list[int] = []
+    rows = ChainRows(
+        [other.state, frozen.state], np.arange(count), times_ns, ~always[:, 0], evidence, always, frozen=stands
+    )
+    walk([rows], lambda _observer, _row, alarm, _code: codes.append(alarm))
+    assert set(codes) == {0}
 
 
 def test_evidence_between_clear_and_threshold_neither_raises_nor_clears() -> None:

@@ -13,6 +13,8 @@ that is satisfied raises the alarm:
 - lasting: the mean of all evidence since it began (of ``lasting_s`` to a whole flight) above ``lasting``, for small
   faults that do not end (:mod:`monitor.fitting.lasting`). Evidence enters this mean with at most ``threshold``.
 
+A sensor that is frozen raises its alarm at once, and keeps it active (:class:`monitor.core.repeats.Frozen`).
+
 The alarm clears after the evidence has been below ``clear`` for ``clear_s``. If only a mean has seen the fault, that
 mean has to be below half of its size. If only the sudden path has seen the fault, the time begins two seconds later,
 and for a growing change another ``critical_ahead_s`` later. The alarm is critical from the size ``critical`` on, or as
@@ -297,9 +299,12 @@ class Alarm:
             message = f"{rule.channel}: whether the fault is gone is not known; a constant one shows only as it changes"
         if instead is not None:
             message += f"; it may be {instead} instead, the two are not told apart yet"
+        seen = abs(now.shown) >= rule.clear
+        if now.frozen:
+            message = f"{message if seen else rule.channel}: frozen, it repeats one reading exactly"
         if now.recurring and code != CLEARED:
-            seen = abs(now.shown) >= rule.clear
-            message = f"{message if seen else f'{rule.channel}: nothing is seen of it now'} (it comes and goes)"
+            unseen = f"{rule.channel}: nothing is seen of it now"
+            message = f"{message if seen or now.frozen else unseen} (it comes and goes)"
         if code != CLEARED:
             message = with_affected(message + _DOUBTED * self._doubted, self._affected)
         return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative, sd, instead)

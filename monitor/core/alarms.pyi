@@ -25,6 +25,7 @@ class AlarmState:
     creeping: bool
     recurring: bool
     sudden: bool
+    frozen: bool
     shown: float
     peak: float
     size: float
@@ -68,6 +69,7 @@ class ChainRows:
         command: NDArray[np.float64] | None = None,
         rival: NDArray[np.intp] | None = None,
         instead: NDArray[np.intp] | None = None,
+        frozen: NDArray[np.bool_] | None = None,
     ) -> None: ...
 
 def nats_asked(

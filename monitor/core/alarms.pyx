@@ -110,6 +110,8 @@ cdef class AlarmState:
         Whether the alarm is active, and what its events say of it.
     sudden : bool
         Whether its first size is that of a sudden change.
+    frozen : bool
+        Whether its sensor repeats one reading for longer than chance allows: it stays active, whatever its size.
     shown, peak, reported, size : float
         Evidence that the event of the latest row shows, the largest since the alarm was raised, that of the event
         before, and the size that raised it.
@@ -119,7 +121,7 @@ cdef class AlarmState:
 
     cdef double threshold, clear, critical_size, raise_ns, clear_ns, fast, fast_ns, slow, slow_ns, latch_ns, ahead_s
     cdef double nats, least, lasting, lasting_ns
-    cdef readonly bint active, critical, creeping, recurring, sudden
+    cdef readonly bint active, critical, creeping, recurring, sudden, frozen
     cdef readonly double shown, peak, size, reported
     cdef readonly Py_ssize_t rival
     cdef double reported_sd, reported_command
@@ -141,6 +143,7 @@ cdef class AlarmState:
     def __init__(self):
         self.trend = Trend()
         self.active = self.contiguous = self.excused_now = self.sudden = self.explained = self.lasts = False
+        self.frozen = False
         self.explained_ns = self.explained_last_ns = 0
         self.counter_ns = self.fast_counter_ns = 0
         self.raised_count = 0
@@ -193,7 +196,7 @@ cdef class AlarmState:
 
     def deactivate(self):
         """Stop being active without an event, and forget the evidence so far."""
-        self.active = self.contiguous = False
+        self.active = self.contiguous = self.frozen = False
         self.ended_ns = self.last_ns
         self.counter_ns = self.fast_counter_ns = 0
         self.raised_count = 0
@@ -219,9 +222,11 @@ cdef class AlarmState:
         return False
 
     cdef int step(self, int64_t now, bint restart, double evidence, bint speaking, double scale, double sd,
-                  double noise, double command, Py_ssize_t rival, const Change* change) noexcept:
+                  double noise, double command, Py_ssize_t rival, const Change* change, bint frozen) noexcept:
         """Process one row; return the event it causes."""
-        cdef int event = self.event_of(now, restart, evidence, speaking, scale, sd, noise, command, rival, change)
+        cdef int event
+        self.frozen = frozen
+        event = self.event_of(now, restart, evidence, speaking, scale, sd, noise, command, rival, change)
         if event == RAISED or event == UPDATED:
             self.reported_command = command
             self.rival = change.rival if event == RAISED and self.sudden else rival
@@ -238,6 +243,10 @@ cdef class AlarmState:
             # A growing change is visible only once it has grown.
             self.unseen_ns = UNSEEN_NS + (<int64_t>(self.ahead_s * NANOSECONDS) if change.growth != 0.0 else 0)
             return RAISED
+        if self.frozen and not self.active and not self.excused(now):
+            self.last_ns, self.contiguous = now, True
+            self.reported_sd = sd
+            return self.raise_alarm(now, evidence, self.threshold, False)
         # An excuse keeps an alarm from being raised; an active alarm follows its own evidence.
         if not speaking:
             self.contiguous = False
@@ -365,7 +374,7 @@ cdef class AlarmState:
             self.peak = shown
         due = not 0 <= now - self.reported_ns < UPDATE_EVERY_NS
         kept = fabs(self.whole) >= 0.5 * self.lasting if self.lasts else fabs(self.mean) >= 0.5 * self.slow
-        if fabs(evidence) < self.clear and not (self.creeping and kept):
+        if fabs(evidence) < self.clear and not self.frozen and not (self.creeping and kept):
             if self.unseen_ns > 0:
                 self.unseen_ns -= elapsed
                 return NONE
@@ -447,6 +456,8 @@ cdef class ChainRows:
         The command of which the size of each of the first m alarms is a share, not a number where it is none.
     rival : intp (n, m), optional
         The fault that may be responsible in place of that of each of the first m alarms, -1 for none.
+    frozen : bool (n, m), optional
+        Where the sensor of each of the first m alarms repeats one reading for longer than chance allows.
     """
 
     cdef tuple alarms
@@ -460,16 +471,17 @@ cdef class ChainRows:
     cdef const int64_t[:] onset_ns
     cdef const Py_ssize_t[:, :] rival
     cdef const Py_ssize_t[:] instead
+    cdef const uint8_t[:, :] frozen
 
     def __init__(self, alarms, position, times_ns, restart, evidence, speaking, scale=None, changed=None, nats=None,
                  size=None, growth=None, onset_ns=None, change_sd=None, sd=None, noise=None, command=None,
-                 rival=None, instead=None):
+                 rival=None, instead=None, frozen=None):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
         self.restart, self.evidence, self.speaking = restart, evidence, speaking
         self.scale, self.sd, self.noise, self.command = scale, sd, noise, command
         self.changed, self.nats, self.size, self.growth, self.onset_ns = changed, nats, size, growth, onset_ns
-        self.change_sd, self.rival, self.instead = change_sd, rival, instead
+        self.change_sd, self.rival, self.instead, self.frozen = change_sd, rival, instead, frozen
 
     cdef void supersede(self, Py_ssize_t alarm) noexcept:
         """Clear the sooner the alarms of sudden changes of other channels that no estimate shows: this one is the
@@ -478,6 +490,17 @@ cdef class ChainRows:
         for i in range(len(self.alarms)):
             if i != alarm:
                 (<AlarmState>self.alarms[i]).unseen_ns = 0
+
+    cdef bint is_frozen(self, Py_ssize_t row, Py_ssize_t alarm) noexcept:
+        """Return whether the alarm's sensor is frozen; one that freezes beside another active alarm is its consequence.
+        """
+        cdef Py_ssize_t i
+        if self.frozen is None or alarm >= self.frozen.shape[1] or not self.frozen[row, alarm]:
+            return False
+        for i in range(len(self.alarms)):
+            if i != alarm and (<AlarmState>self.alarms[i]).active and not (<AlarmState>self.alarms[alarm]).active:
+                return False
+        return True
 
     cdef Change change_of(self, Py_ssize_t row, Py_ssize_t alarm) noexcept:
         cdef Change change = Change(0.0, 0.0, NAN, 0.0, 0, -1)
@@ -678,7 +701,8 @@ def walk(chains, on_event):
                 chain.sd[row, i] if chain.sd is not None and i < chain.sd.shape[1] else NAN,
                 chain.noise[row, i] if chain.noise is not None and i < chain.noise.shape[1] else NAN,
                 chain.command[row, i] if chain.command is not None and i < chain.command.shape[1] else NAN,
-                chain.rival[row, i] if chain.rival is not None and i < chain.rival.shape[1] else -1, &change)
+                chain.rival[row, i] if chain.rival is not None and i < chain.rival.shape[1] else -1, &change,
+                chain.is_frozen(row, i))
             if event == RAISED:
                 chain.supersede(i)
             if event:

@@ -19,3 +19,10 @@ cdef class Repeats:
 
     cdef bint take(self, long long received, const double* row) noexcept
     cdef bint ends(self, long long received) noexcept
+
+
+cdef class Frozen:
+    cdef Py_ssize_t[::1] _first, _width
+    cdef long long[::1] _hold, _reading, _age, _step
+    cdef int _noisy
+    cdef double[::1] _last

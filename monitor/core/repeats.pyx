@@ -1,14 +1,14 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""Finds rows of an IMU, or of rates and angles, that were sent before, value by value: part of a recording.
+"""Finds values of noisy sensors that come again: part of a recording, or one reading that does not change any more.
 
-Noisy sensors never give two rows that are equal in every value, still less many in the same order. Rows are remembered
-by a hash of their values, with the index of its first row. Stamps are not compared: who sends a recording again may
-change them.
+Noisy sensors never give two rows that are equal in every value, still less many in the same order. Rows of an IMU, or
+of rates and angles, are remembered by a hash of their values, with the index of its first row. Stamps are not
+compared: who sends a recording again may change them.
 """
 
 import numpy as np
 
-from libc.string cimport memcpy
+from libc.string cimport memcmp, memcpy
 
 cdef enum:
     # Rows that are remembered: five minutes at 100 Hz.
@@ -79,3 +79,54 @@ cdef class Repeats:
             return False
         self._told = False
         return True
+
+
+cdef class Frozen:
+    """Sensors that repeat one reading for longer than chance allows, while others go on.
+
+    Parameters
+    ----------
+    first, width : Sequence[int]
+        Columns of each of m sensors.
+    hold, reading : Sequence[int]
+        Ticks for which each may repeat a reading, and for which one lasts. Where they last longer, so do repeats.
+    noisy : int
+        The first columns, which never repeat all together unless the whole telemetry is frozen.
+    """
+
+    def __init__(self, first, width, hold, reading, int noisy):
+        self._first, self._width = np.array(first, np.intp), np.array(width, np.intp)
+        self._hold, self._reading, self._noisy = np.array(hold, np.int64), np.array(reading, np.int64), noisy
+        # For how many ticks each reading has been the same, and the one before was; -1: not known.
+        self._last = np.zeros(0)
+        self._age, self._step = np.full((2, len(self._hold)), -1, np.int64)
+
+    def run(self, const double[:, ::1] signals, const unsigned char[:, ::1] lost, const unsigned char[:] restart):
+        """Return where each sensor is frozen (n, m)."""
+        cdef Py_ssize_t count = signals.shape[0], row, i, k
+        cdef bint missing, whole
+        cdef const double* now
+        found = np.zeros((count, self._hold.shape[0]), np.bool_)
+        cdef unsigned char[:, ::1] frozen = found.view(np.uint8)
+        if not self._last.shape[0]:
+            self._last = np.full(signals.shape[1], np.nan)
+        for row in range(count):
+            now = &signals[row, 0]
+            whole = memcmp(now, &self._last[0], self._noisy * sizeof(double)) == 0
+            for i in range(self._hold.shape[0]):
+                missing = restart[row]
+                for k in range(self._width[i]):
+                    missing |= lost[row, self._first[i] + k]
+                if missing:
+                    self._age[i] = self._step[i] = -1
+                elif memcmp(now + self._first[i], &self._last[self._first[i]], self._width[i] * sizeof(double)):
+                    # The first change ends a reading of which the beginning is not known.
+                    self._step[i] = self._age[i]
+                    self._age[i] = 0
+                elif self._age[i] >= 0:
+                    self._age[i] += 1
+                    frozen[row, i] = (
+                        self._step[i] >= 0 and not whole
+                        and self._age[i] * self._reading[i] >= self._hold[i] * max(self._reading[i], self._step[i] + 1))
+            memcpy(&self._last[0], now, signals.shape[1] * sizeof(double))
+        return found

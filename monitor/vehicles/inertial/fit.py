@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from math import inf, pi, sqrt
+from math import ceil, cos, inf, log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from gains.identification.segment import Segment
 from gains.synthesis.bank import compile_bank
 from gains.synthesis.gains_file import Gains
 from monitor.alarms.excuse import ExcuseRule
+from monitor.core.sampling import LINE_PERIODS
 from monitor.display import size_text
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.changes import WINDOW_S, ChangeRule
@@ -72,6 +73,7 @@ from monitor.vehicles.inertial.strapdown import (
     IMU,
     LEARNED,
     MAGNETOMETER,
+    SENSORS,
     LearnedBias,
     Strapdown,
 )
@@ -205,6 +207,7 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
         **({"position_washout_s": _POSITION_WASHOUT_S} if channels.parameters["gps"] == BARE_POSITIONS else {}),
     }
     parameters |= _holds(surveys, channels.channels, raw, signal_hz)
+    parameters |= _frozen(raw, channels.channels, signal_hz, FALSE_ALARMS_PER_HOUR / len(SENSORS))
     parameters |= _delays(raw, parameters, signal_hz, rate_hz)
     if channels.parameters["gps"] in (1.0, BODY_VELOCITY) and channels.imu and signal_hz >= NAVIGATED_HZ:
         if parameters["magnetometer"]:
@@ -395,6 +398,24 @@ _REPEATED = 5.0
 values."""
 
 
+_LEAST_TURNS = 1.0 / 3.0
+"""Least share of changes against the one before of a sensor that is noisy: 2/3 by white noise alone, 1/3 if motion has
+two thirds of their variance. Measured on 19 flights: 0.47 to 0.68 where readings hardly ever repeat, 0.01 to 0.31
+for simulated barometers without noise, which repeat for up to 6.8 s in a calm."""
+_MOST_REPEATS = 0.25
+"""Largest chance of a repeat: the noise is then one step of the readings (q / (2 sqrt(pi) sigma) = 0.28), and the
+chance is the same wherever between two steps the value lies."""
+_RULE_OF_THREE = 3.0
+"""Repeats that were not seen but are possible, at 95 %."""
+_CALMER = 3.0
+"""Ratio of the noise in the fitted flights to that of a calm one, by which repeats come more often there. Chosen: the
+wash of propellers and gusts have a part in it."""
+_LEAST_FROZEN_S = 1.0
+"""Least time: twice the 500 ms (`BARO_TIMEOUT_MS`) for which ArduPilot takes a silent barometer for healthy."""
+_LEAST_READINGS = 100.0
+"""Fewest readings from which a chance is known: it is then below 0.03 if none repeats."""
+
+
 def _sampled(request: FitRequest, source: StrapdownSource, gate: GateRule) -> tuple[list[Flight], float, float]:
     """Return the flights' raw signals, their rate, and the rate of the observer, which is a whole fraction of it."""
     signal_hz = min(inertial_rate_hz(request.surveys, source), _FASTEST_HZ)
@@ -426,13 +447,70 @@ def _holds(
             holds["gps_hold_s"] = max(_LEAST_STUCK_S, _HELD_PERIODS / slowest_hz)
         if channel.name == MAGNETOMETER[0]:
             fields = [flight.samples.u[flight.evidence, index : index + len(MAGNETOMETER)] for flight in raw]
-            changes = [np.flatnonzero(np.diff(field, axis=0).any(axis=1)) for field in fields]
-            # a measurement between two samples changes both of them, and on a line between two all change
-            firsts = [change[np.diff(change, prepend=-2) > 1] for change in changes]
-            steps = np.concatenate([np.diff(first) for first in firsts])
-            if len(steps) and 3 * sum(map(len, changes)) <= 2 * sum(map(len, fields)):
+            firsts = [_news(field) for field in fields]
+            steps = np.concatenate([np.zeros(0, np.intp), *(np.diff(one) for one in firsts if one is not None)])
+            if len(steps):
                 holds["compass_hold_s"] = round(_HELD_PERIODS * float(np.median(steps)) / signal_hz, 3)
     return holds
+
+
+def _frozen(
+    raw: Sequence[Flight], channels: Sequence[Channel], signal_hz: float, alarms_per_hour: float
+) -> dict[str, float]:
+    """Return how long each noisy sensor may repeat a reading until it is frozen, and how long one reading may last.
+
+    Of a sensor with white noise each reading equals the one before with the same probability p, so that N readings an
+    hour hold N p^n runs of n repeats. While the vehicle moves p is smaller than at rest. Successive changes have a
+    correlation of rho = -1/2 by noise and 1 by smooth motion, and opposite signs in a share s = arccos(rho) / pi of
+    cases; so noise is (1 - rho) / 1.5 of their variance, and p at rest is larger by the square root of its inverse.
+    """
+    signals, holds = [channel.name for channel in channels], {}
+    for sensor, names in SENSORS.items():
+        if not set(names) <= set(signals):
+            continue
+        first = signals.index(names[0])
+        line = max(1, round(_line_s(raw, first, signal_hz, _BENT_SINGLE) * signal_hz))
+        repeats, readings, turned, longest = 0.0, 0, [np.zeros((0, len(names)), np.bool_)], 0.0
+        for rows in ((flight, rows) for flight in raw for rows in flight.stretches(at_restart=True)):
+            values = rows[0].samples.u[rows[1], first : first + len(names)]
+            news = _news(values)
+            ticks = np.diff(np.arange(0, len(values), line) if news is None else news)
+            if len(ticks) < 2:
+                continue
+            if news is None:
+                read, again = values[::line], np.array([_longest_same(values)]) / line
+            else:
+                line = max(line, round(float(np.median(ticks))))
+                read, again = values[news[1:] - 1], ticks / line - 1.0
+            changes = np.diff(read, axis=0)
+            turned.append(changes[1:] * changes[:-1] < 0.0)
+            repeats += float(np.rint(again).clip(0.0).sum())
+            readings, longest = readings + len(read), max(longest, float(again.max()))
+        share = float(np.concatenate(turned).mean(axis=0).max()) if readings >= _LEAST_READINGS else 0.0
+        if share < _LEAST_TURNS:
+            continue
+        noise = min(1.0, (1.0 - cos(pi * share)) / 1.5)
+        chance = _CALMER * (repeats + _RULE_OF_THREE) / readings / sqrt(noise)
+        if chance > _MOST_REPEATS:
+            continue
+        count = ceil(log(3600.0 * signal_hz / line / alarms_per_hour) / -log(chance))
+        # Runs that are longer than chance allows are no chance.
+        if longest < count:
+            # A reading stays for one period, the repeats for as many more, and half of one is jitter. A message that
+            # comes three times as seldom as in these flights is still read.
+            periods, period_s = count + 1.5, LINE_PERIODS * line / signal_hz
+            holds[f"{sensor}_frozen_s"] = round(max(_LEAST_FROZEN_S, periods * period_s), 3)
+            holds[f"{sensor}_reading_s"] = round(holds[f"{sensor}_frozen_s"] / periods, 3)
+    return holds
+
+
+def _news(values: NDArray[np.float64]) -> NDArray[np.intp] | None:
+    """Return the rows at which new readings appear that are held; None if the rows are on lines between readings."""
+    changes = np.flatnonzero(np.diff(values, axis=0).any(axis=1)) + 1
+    if 3 * len(changes) > 2 * len(values):
+        return None
+    # a measurement between two samples changes both of them, and on a line between two all change
+    return changes[np.diff(changes, prepend=-1) > 1]
 
 
 def _longest_same(rows: NDArray[np.float64]) -> int:

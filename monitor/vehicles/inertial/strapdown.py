@@ -34,6 +34,7 @@ from adapters.channels import COURSE, SPEED
 from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
 from monitor.core.navigation import Navigation
+from monitor.core.repeats import Frozen
 from monitor.core.strapdown import StrapdownCore
 from monitor.sampling.scaled import check_parameters, raw_per_sample
 
@@ -49,11 +50,15 @@ LEARNED = "learned_hold_s"
 ACCELEROMETERS = ("accel_x", "accel_y")
 """Outputs of the navigation: the error of an accelerometer while it is held responsible."""
 
+SENSORS = {"baro": BAROMETER, "compass": MAGNETOMETER}
+"""Signals of each sensor that may freeze, by the fault that is then named."""
+
 _JUDGED = ("gyro_x", "gyro_y", "gyro_z", *ACCELEROMETERS, "compass")
 """Faults for whose sizes the navigation gives an uncertainty."""
 FIX_S = 0.2
 """Time between comparisons of the navigation with the GPS, seconds. Receivers give 5 to 10 fixes a second."""
 
+_MAY_BE_ZERO = ("delay_s", "hold_s", "frozen_s", "reading_s", "_level", "_noise", "_walk", "x_s", "y_s", "z_s")
 DEFAULTS = {
     "gps": 1.0,
     "barometer": 1.0,
@@ -68,6 +73,7 @@ DEFAULTS = {
     "compass_hold_s": 0.0,
     "imu_hold_s": 0.0,
     LEARNED: 0.0,
+    **{f"{sensor}_{time}_s": 0.0 for sensor in SENSORS for time in ("frozen", "reading")},
     "judge_level": 0.0,
     "field_noise": 0.0,
     "field_walk": 0.0,
@@ -95,7 +101,9 @@ class Strapdown:
         ``baro_delay_s``, ``compass_delay_s``: by how much they are late against the IMU; ``gps_hold_s``: how long a
         fix may stay the same until the receiver is stuck, 0 for ever; ``compass_hold_s``: how long a magnetic field
         may, which is followed by the gyro until then; ``imu_hold_s``: how long IMU and attitude together may, after
-        which they are not measured any more; ``learned_hold_s``: how long the bias that the autopilot's estimator
+        which they are not measured any more; ``baro_frozen_s``, ``compass_frozen_s``: how long a reading may stay the
+        same until the sensor is frozen, 0 for ever, in proportion longer after a reading that lasted longer than
+        ``baro_reading_s``, ``compass_reading_s``; ``learned_hold_s``: how long the bias that the autopilot's estimator
         has learned may be unknown, where gyros come too seldom to tell more (the signals end with ``ESTIMATED``),
         0: gyros are integrated; ``judge_level``: logarithm of the likelihood from which a gyro or accelerometer is
         held responsible for what the GPS's velocity shows (:mod:`monitor.core.navigation`), 0: never asked;
@@ -136,6 +144,12 @@ class Strapdown:
         self.signals, self.inputs, self.outputs = _names(gps, speed, baro, mag)
         hold = round(values[LEARNED] * signal_rate_hz)
         self._learned = LearnedBias(hold) if hold else None
+        self._frozen = {name: held for name in SENSORS if (held := values[f"{name}_frozen_s"]) > 0.0}
+        sensors = [SENSORS[name] for name in self._frozen]
+        firsts, widths = [self.signals.index(one[0]) for one in sensors], [len(one) for one in sensors]
+        holds = [round(held * signal_rate_hz) for held in self._frozen.values()]
+        readings = [max(1, round(values[f"{name}_reading_s"] * signal_rate_hz)) for name in self._frozen]
+        self._repeats = Frozen(firsts, widths, holds, readings, len(IMU))
         self.signals += ESTIMATED if self._learned else ()
         self.outputs += ACCELEROMETERS * judged
         period = 1.0 / rate_hz
@@ -180,7 +194,13 @@ class Strapdown:
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw signals (``samples.u``) complete, each at the end of its period."""
-        given = self._core.run(self._learned.run(samples) if self._learned else samples)
+        raw = self._learned.run(samples) if self._learned else samples
+        given = self._core.run(raw)
+        if self._frozen:
+            frozen = self._repeats.run(
+                np.ascontiguousarray(raw.u), np.ascontiguousarray(raw.lost).view(np.uint8), raw.restart.view(np.uint8)
+            )
+            given = given._replace(frozen=dict(zip(self._frozen, frozen[given.rows].T, strict=True)))
         if self._core.frozen_ns:
             given = given._replace(still=dict.fromkeys(IMU, self._core.frozen_ns))
         if self.navigation is None:
@@ -240,13 +260,7 @@ def _checked(parameters: Mapping[str, float]) -> dict[str, float]:
         if key in ("gps", "barometer", "magnetometer"):
             good = value in range({"gps": 4, "barometer": 3}.get(key, 2))
         else:
-            good = isfinite(value) and (
-                value > 0.0
-                or (
-                    value == 0.0
-                    and key.endswith(("delay_s", "hold_s", "_level", "_noise", "_walk", "x_s", "y_s", "z_s"))
-                )
-            )
+            good = isfinite(value) and (value > 0.0 or (value == 0.0 and key.endswith(_MAY_BE_ZERO)))
         if not good:
             raise TelemetryError(f"strapdown: '{key}' = {value} is out of range")
     return values
