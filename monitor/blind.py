@@ -134,7 +134,7 @@ class EvidenceFlow:
         if run.unflown is not None:
             # Telemetry that comes but is unlike the fitted flights is not missing.
             lost, came = lost & ~run.unflown[:, None], armed | run.unflown
-        is_lost = bool(lost.any())
+        is_lost = np.count_nonzero(lost) > 0
         self._lost = ()
         if is_lost:
             self._lost = tuple(self._name_of(group) for group in self.groups if lost[-1, group.columns].all())
@@ -284,8 +284,10 @@ class BlindAlarm:
             self.received = True
             self.wait_from(int(arrival_times(batch).min()))
         for columns in batch.columns:
-            for flow in self._receivers.get(columns.name, ()):
-                flow.receive(columns.name, int(columns.received_ns[0]), int(columns.received_ns[-1]))
+            if columns.name in self._receivers:
+                first_ns, last_ns = int(columns.received_ns[0]), int(columns.received_ns[-1])
+                for flow in self._receivers[columns.name]:
+                    flow.receive(columns.name, first_ns, last_ns)
         for message in batch.others.values():
             for flow in self._receivers.get(message.name, ()):
                 flow.receive(message.name, message.received_ns, message.received_ns)

@@ -485,7 +485,7 @@ class ObserverChain:
     def _coasted_s(self, samples: Samples) -> NDArray[np.float64]:
         """Return the seconds since the outputs were last measured, at each of n samples (n,); a restart is measured."""
         times_ns = samples.vehicle_time_ns
-        if len(samples) and samples.measured.all():
+        if len(samples) and np.count_nonzero(samples.measured) == len(samples):
             self._measured_ns = times_ns[-1]
             return np.zeros(len(samples))
         last = np.maximum.accumulate(np.where(samples.measured | samples.restart, np.arange(len(samples)), -1))
@@ -533,7 +533,8 @@ class ObserverChain:
         changes = None
         if self._changes is not None:
             # A name may make a test of additions forget onsets: there it must not depend on how the stream is cut.
-            lasting = [] if self._changes.adds else self._lasting(samples, found.rival)
+            lasts = self.has_active_alarms and not self._changes.adds
+            lasting = self._lasting(samples, found.rival) if lasts else []
             asked = nats_asked(self._states[: len(self._faults)], evidence, speaking, alarm_scale, beyond, lasting)
             changes = self._changes.run(samples, estimates.armed, estimates.isolated, asked, given.ahead)
             for fault, output in self._changes.noisy.items():

@@ -40,19 +40,21 @@ class HalfSeconds:
 
     def __init__(self, arms: NDArray[np.float64], metres: float) -> None:
         self._arms, self._metres = arms, metres
-        self._rows = np.empty((0, len(arms) + len(SIGNALS)))
-        self._numbers, self._time_ns = np.empty((2, 0), np.int64)
+        self._kept: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]] = []
 
     def run(
         self, vehicle_ns: NDArray[np.int64], time_ns: NDArray[np.int64], rows: NDArray[np.float64]
     ) -> list[HalfSecond]:
         """Process n samples of flight; return the half seconds that they complete."""
-        numbers = np.append(self._numbers, vehicle_ns // _HALF_NS)
-        times_ns, rows = np.append(self._time_ns, time_ns), np.vstack([self._rows, rows])
+        self._kept.append((vehicle_ns // _HALF_NS, time_ns, rows))
+        number = self._kept[0][0][0]
+        if all(number == one for one in self._kept[-1][0].tolist()):
+            return []
+        numbers, times_ns, rows = map(np.concatenate, zip(*self._kept, strict=True))
         begins = np.flatnonzero(np.diff(numbers, prepend=-1))
         last = begins[-1]
-        self._numbers, self._time_ns, self._rows = numbers[last:], times_ns[last:], rows[last:]
-        return self._means(numbers, times_ns, rows[:last], begins) if last else []
+        self._kept = [(numbers[last:], times_ns[last:], rows[last:])]
+        return self._means(numbers, times_ns, rows[:last], begins)
 
     def _means(
         self,

@@ -353,7 +353,7 @@ cdef class ChangeTest:
         cdef double sign = -1.0 if self.m else 1.0
         cdef bint known
         results = (np.empty(count, np.intp), *np.zeros((4, count)), np.empty(count, np.int64),
-                   np.empty((count, self.p)), np.full(count, -1, np.intp))
+                   np.empty((count, self.p)), np.empty(count, np.intp))
         cdef Py_ssize_t[::1] instead = results[7]
         cdef double[:, ::1] noise = results[6]
         cdef Py_ssize_t[::1] named = results[0]
@@ -362,7 +362,7 @@ cdef class ChangeTest:
         cdef Fitted found
         for k in range(count):
             self.take(u, y, k, usable[k], restart[k], ahead)
-            named[k], onset_ns[k] = -1, times_ns[k]
+            named[k], onset_ns[k], instead[k] = -1, times_ns[k], -1
             known = False
             for i in range(self.p):
                 known |= self.known[i] > self.P

@@ -231,11 +231,11 @@ class Bank:
 
         A gap that is longer than washed-out faults are held ends them.
         """
-        times_ns, resumed = samples.vehicle_time_ns, samples.restart.copy()
+        times_ns, resumed = samples.vehicle_time_ns, samples.restart
         # Most batches have no restart, and the rest takes a twentieth of a small batch's time.
-        if resumed.any():
+        if np.count_nonzero(resumed):
             apart_ns = np.diff(times_ns, prepend=self._newest_ns)
-            resumed &= (apart_ns > 0) & (apart_ns <= _STANDS_S * 1e9)
+            resumed = resumed & (apart_ns > 0) & (apart_ns <= _STANDS_S * 1e9)
             if self._forgets:
                 self._forgets, resumed[samples.restart.argmax()] = False, False
         self._newest_ns = int(times_ns[-1]) if len(times_ns) else self._newest_ns
