@@ -4,6 +4,9 @@
 cdef enum:
     # Limits of outputs that are remembered. Chosen: two at either end, in idle and in flight.
     STOPS = 4
+    # Decades of the rates' variance that are told apart, from 1e-12 (rad/s)^2 on. Chosen: the largest a wild flight has
+    # is some, and a vehicle that stands still has less than any.
+    DECADES = 16
 
 
 cdef class Stands:
@@ -53,9 +56,13 @@ cdef class Response:
     cdef double[:, ::1] _squares, _products
     # The newest row: 1 and the differences of commands, the latest first; the outputs before.
     cdef double[::1] _row, _before
-    # Of the changes of each output their sum of squares in the window, and their least and largest variance in windows
-    # in which commands act.
-    cdef double[::1] _energies, _least, _most
+    # Sum of squares of the changes of each output in the window.
+    cdef double[::1] _energies
+    # Evidence in nats that commands have ceased to act. By the decade of the rates' changes: number of windows in this
+    # flight, sums of the shares explained and of their squares, number in which commands act; and those since there is
+    # such evidence.
+    cdef double _nats
+    cdef double[:, ::1] _usual, _since
 
     cdef bint take(self, const double* vector, bint is_usable) noexcept
     cdef bint judge(self) noexcept
