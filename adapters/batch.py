@@ -127,10 +127,14 @@ def messages(batch: Batch) -> Iterator[Message]:
         yield next(following[position])
 
 
-def each(columns: Columns) -> Iterator[Message]:
-    """Yield the messages of columns; all values of a field are converted to Python objects at once."""
+def each(columns: Columns, only: Iterable[str] | None = None) -> Iterator[Message]:
+    """Yield the messages of columns, with ``only`` some of their fields (None: all).
+
+    All values of a field are converted to Python objects at once.
+    """
     source, name, system, component = columns.source, columns.name, columns.system, columns.component
-    names, values = tuple(columns.fields), [field.tolist() for field in columns.fields.values()]
+    names = tuple(columns.fields if only is None else (field for field in only if field in columns.fields))
+    values = [columns.fields[field].tolist() for field in names]
     rows = zip(*values, strict=True) if values else repeat(())
     for received_ns, row in zip(columns.received_ns.tolist(), rows, strict=False):
         yield Message(source, name, received_ns, dict(zip(names, row, strict=True)), system, component)

@@ -477,7 +477,7 @@ class ObserverChain:
             isolated=shown.isolated,
             residual=found.residual,
             armed=armed,
-            sd=np.where(shown.isolated == 0.0, shown.sd, size_sd),
+            sd=np.where(shown.isolated == 0.0, shown.sd, size_sd) if np.count_nonzero(shown.isolated) else shown.sd,
             coasted_s=self._coasted_s(samples),
         )
         return self._with_evidence(estimates, position, found, effects, shown.commands, given, sd, size_sd)

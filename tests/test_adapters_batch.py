@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.batch import cut, messages, pack
+from adapters.batch import cut, each, messages, pack
 from adapters.message import Message, silence
 from adapters.source import CLOCK, LINK, MAVLINK, ZENOH
 
@@ -73,3 +73,8 @@ def test_what_is_no_telemetry_stays_a_message() -> None:
     block = pack([silence(1), silence(2)])
     assert not block.columns
     assert len(block.others) == 2
+
+
+def test_messages_of_columns_have_only_the_fields_that_are_asked_for() -> None:
+    columns = pack([Message(MAVLINK, "a", at, {"x": at, "y": 2.0 * at}, 1, 1) for at in range(3)]).columns[0]
+    assert [message.fields for message in each(columns, ("y", "z"))] == [{"y": 0.0}, {"y": 2.0}, {"y": 4.0}]

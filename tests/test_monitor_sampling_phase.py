@@ -56,6 +56,19 @@ def test_other_messages_change_nothing() -> None:
     assert (phase.armed, phase.landed) == (None, None)
 
 
+@pytest.mark.parametrize("name", FlightPhase.fields)
+def test_of_frequent_messages_no_other_fields_are_read_than_the_phase_names(name: str) -> None:
+    asked = set()
+
+    class Fields(dict[str, Any]):
+        def get(self, key: str, default: Any = None) -> Any:
+            asked.add(key)
+            return super().get(key, default)
+
+    FlightPhase().feed(Message(MAVLINK, name, 0, Fields(fix_type=3, alt=10_000, vel=300, relative_alt=9_000), 1, 1))
+    assert asked == {*FlightPhase.fields[name]}
+
+
 def beat(at_s: float, mode: int, kind: int = 2) -> Message:
     fields = {"type": kind, "autopilot": 3, "base_mode": mode}
     return Message(MAVLINK, "HEARTBEAT", round(at_s * 1e9), fields, 1, 1)

@@ -125,7 +125,8 @@ cdef class Arrivals:
             self._add(i, received[row], carries)
             self._arrivals[i].marks |= marks
         if marks or columns.name in FlightPhase.interests:
-            self._reports.update(zip(columns.position.tolist(), each(columns)))
+            read = FlightPhase.fields.get(columns.name)
+            self._reports.update(zip(columns.position.tolist(), each(columns, read)))
         self._owners.append(columns)
         return 0
 

@@ -1881,8 +1881,10 @@ def sample_batch(VehicleClock clock not None, samplers, batch, bint stops=False)
         feeds = _interested(samplers, name)
         if feeds:
             groups.append(_of_messages(members, feeds))
-    newest_ns, owner = np.empty(count, np.int64), np.full(count, -1, np.intc)
+    newest_ns, owner = np.empty(count, np.int64), np.empty(count, np.intc)
     newest, owners = newest_ns, owner
+    for place in range(count):
+        owners[place] = -1
     for number, group in enumerate(groups):
         for place in range(group.count):
             if not 0 <= group.position[place] < count:

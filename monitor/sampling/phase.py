@@ -24,6 +24,7 @@ Nobody else writes into a vehicle's own log, and it holds a report for each chan
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from math import inf, nan
 from typing import ClassVar, Literal, NamedTuple
@@ -163,14 +164,15 @@ class FlightPhase:
     while those of a landing vehicle are the ones of hover (without commands and height: while it moves on), or not
     known yet;
     ``logged`` if the reports are those of its own log. ``carried`` is what carries a vehicle with rotors and wings by
-    its own report, None without one. ``interests`` names the messages that are read.
+    its own report, None without one. ``interests`` names the messages that are read, ``fields`` the only fields that
+    are, of frequent ones.
     """
 
-    interests: ClassVar[frozenset[str]] = Reports.interests | {
-        "EXTENDED_SYS_STATE",
-        "GLOBAL_POSITION_INT",
-        "GPS_RAW_INT",
+    fields: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "GLOBAL_POSITION_INT": ("relative_alt",),
+        "GPS_RAW_INT": ("fix_type", "alt", "vel"),
     }
+    interests: ClassVar[frozenset[str]] = Reports.interests | {"EXTENDED_SYS_STATE", *fields}
 
     def __init__(self, fitted: Identity | None = None) -> None:
         self._armed: bool | None = None
