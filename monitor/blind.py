@@ -2,9 +2,11 @@
 
 A vehicle without an alarm is healthy only where it is watched. So where an observer of a flying vehicle, or one of the
 sensors it compares, has had no evidence for 5 s, ``monitor/blind`` is raised and says which and why. It clears when
-evidence has come again, or with the flight. On the ground, and before any telemetry came, nothing is expected, and
-while telemetry is stale its own alarm says so. A message that never came is no loss but a link or a log without it: the
-status and a replay's verdict name it, and the alarm does where nothing else of the vehicle is watched.
+evidence has come again, or with the flight, or when estimates begin anew and lack nothing but the time to settle, for
+which it would not be raised. If they settle in vain it is raised again, until evidence comes. On the ground, and before
+any telemetry came, nothing is expected, and while telemetry is stale its own alarm says so. A message that never came
+is no loss but a link or a log without it: the status and a replay's verdict name it, and the alarm does where nothing
+else of the vehicle is watched.
 
 Decided on messages and their times of arrival alone, like everything in the pipeline.
 """
@@ -49,6 +51,7 @@ _UPDATE_NS = SECOND_NS
 """Least time between updates, the same as for all alarms."""
 _SHARE_S = 60
 """Length of the time before now, seconds, of which the status gives the share with evidence."""
+_AGAIN = "the vehicle is watched again"
 _SENSORS = {"gps": "GPS", "lat": "GPS", "lon": "GPS", "baro": "barometer", "heading": "compass", "xmag": "compass"}
 """Sensors by the first part of a channel's name; other channels are grouped by their messages."""
 
@@ -97,15 +100,17 @@ class EvidenceFlow:
             for label in grouped
         }
         self.groups = [_Group(label, named[label], columns) for label, columns in grouped.items()]
-        self.limit_ns = max(LIMIT_NS, round(_LEAST_SAMPLES * 1e9 / layout.rate_hz))
+        self._period_ns = round(1e9 / layout.rate_hz)
+        self.limit_ns = max(LIMIT_NS, _LEAST_SAMPLES * self._period_ns)
         # A message that has been missing for this long is the reason: over a radio the longest step was 2.5 s
         # (LIMIT_NS).
         self.missing_ns = self.limit_ns // 2
         self.settle_ns = round(chain.settle_s * 1e9)
         # Before the first sample each message has to come twice, and the next one has to show that none is late.
-        self.first_ns = self.limit_ns + max(self.settle_ns, round(_LEAST_SAMPLES * 1e9 / layout.rate_hz))
+        self.first_ns = self.limit_ns + max(self.settle_ns, _LEAST_SAMPLES * self._period_ns)
         self._inputs = len(layout.inputs)
-        self._rows_ns = 0
+        self._rows_ns = self._restart_ns = 0  # Unix times of the newest sample, and of the newest that began anew
+        self._granted = False  # whether the time to settle was granted to an active alarm since the last evidence
         self._overdue: list[bool] = [False]
         self._lost: tuple[str, ...] = ()
         self.altered = False  # whether its commands, or their effects, are known to be altered: it shows nothing then
@@ -141,12 +146,15 @@ class EvidenceFlow:
         restarts, cames = samples.restart.nonzero()[0], came.nonzero()[0]
         if restarts.size:
             restart_ns, again_ns = received(int(position[restarts[-1]])), self.settle_ns + _AFTER_RESTART_NS
+            self._restart_ns = restart_ns
             for group in self.groups:
                 # Before the first evidence, settling begins anew, but not for ever.
                 gone_ns = 0 if group.evidence_ns else min(restart_ns - group.since_ns, self.limit_ns + self.settle_ns)
-                group.granted_ns = max(group.granted_ns, gone_ns + again_ns)
+                # The sample that begins anew is no evidence, and is one of the few of a slow observer.
+                group.granted_ns = max(group.granted_ns, gone_ns + again_ns, self.limit_ns + self._period_ns)
         if not cames.size or self.altered:
             return
+        self._granted = False
         count = cames.size if came is armed else int(np.count_nonzero(armed))
         second = int(samples.vehicle_time_ns[-1]) // SECOND_NS
         if self._seconds and self._seconds[-1][0] == second:
@@ -158,6 +166,18 @@ class EvidenceFlow:
                 group.since_ns = group.evidence_ns = received(int(position[rows[-1]]))
                 restarted = restarts.size and restarts[-1] > rows[-1]
                 group.granted_ns = max(self.limit_ns, self.settle_ns + _AFTER_RESTART_NS if restarted else 0)
+
+    def settles(self, now_ns: int, contested: bool) -> bool:
+        """Return whether its overdue evidence lacks nothing but the time to settle, the first time since the last."""
+        again = 0 <= now_ns - self._restart_ns < self.settle_ns + _AFTER_RESTART_NS
+        return again and not self._granted and self.reason(now_ns, contested)[1] == "settling"
+
+    def grant(self) -> None:
+        """Await its evidence from its newest restart on."""
+        self._granted = True
+        for group in self.groups:
+            group.since_ns = self._restart_ns
+            group.granted_ns = max(self.limit_ns, self.settle_ns + _AFTER_RESTART_NS)
 
     def stand(self) -> None:
         """Expect no evidence for a while, as the vehicle came down by its command."""
@@ -344,7 +364,15 @@ class BlindAlarm:
         if not any(lacks.values()):
             if active is None or (flying and any(flow.awaits(now_ns) for flow in needed)):
                 return []
-            return [self._clear(active, now_ns, vehicle_ns, flying)]
+            return [self._clear(active, now_ns, vehicle_ns, _AGAIN if flying else "the vehicle is no longer in flight")]
+        late = [flow for flow in needed if lacks[flow.name]]
+        if active is not None and all(flow.settles(now_ns, contested) for flow in late):
+            for flow in late:
+                flow.grant()
+            longest_s = max(flow.settle_ns for flow in late) / 1e9
+            return [
+                self._clear(active, now_ns, vehicle_ns, f"{_AGAIN}, as soon as estimates settle ({longest_s:.2g} s)")
+            ]
         texts = [
             f"{flow.name}: {why} for {flow.limit_ns / 1e9:.2g} s" for flow in needed for why, _ in lacks[flow.name]
         ]
@@ -393,8 +421,7 @@ class BlindAlarm:
         )
         return self.active
 
-    def _clear(self, active: AlarmEvent, now_ns: int, vehicle_ns: int, flying: bool) -> AlarmEvent:
-        text = "the vehicle is watched again" if flying else "the vehicle is no longer in flight"
+    def _clear(self, active: AlarmEvent, now_ns: int, vehicle_ns: int, text: str) -> AlarmEvent:
         event = self._next(active, "cleared", now_ns, vehicle_ns, text, active.severity)
         self.active, self.frozen = None, {}
         return event

@@ -69,19 +69,48 @@ def test_a_gps_that_stops_is_named_within_seconds_and_clears_when_it_is_back(
     assert 20.0 <= (cleared.time_ns - flight[0].received_ns) / 1e9 <= 27.0
 
 
-def test_alarms_raised_since_the_measurements_froze_end_under_the_alarm_that_says_so(
-    quad_profile: Profile, flight: list[Message]
-) -> None:
-    frozen_ns, latest, frozen = flight[0].received_ns + 20_000_000_000, {}, []
-    for message in flight:
+def frozen_measurements(messages: Sequence[Message], *spans_s: tuple[float, float]) -> list[Message]:
+    """Return messages of which IMU, attitude and GPS repeat their values between these times."""
+    latest, frozen = {}, []
+    for message in messages:
         if message.name not in ("ATTITUDE", "HIGHRES_IMU", "GPS_RAW_INT"):
             frozen.append(message)
             continue
-        if message.received_ns < frozen_ns:
+        time_s = (message.received_ns - messages[0].received_ns) / 1e9
+        if not any(start <= time_s < stop for start, stop in spans_s):
             latest[message.name] = message.fields
         stamps = {name: value for name, value in message.fields.items() if name.startswith("time_")}
         frozen.append(replace(message, fields={**latest[message.name], **stamps}))
-    events = events_of(quad_profile, frozen)
+    return frozen
+
+
+def test_measurements_that_froze_and_go_on_clear_within_two_seconds(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    raised, *updates, cleared = blind_of(quad_profile, frozen_measurements(flight, (12.0, 20.0)))
+    assert raised.state == "raised"
+    assert {event.state for event in updates} <= {"updated"}
+    assert (cleared.state, cleared.message) == (
+        "cleared",
+        "the vehicle is watched again, as soon as estimates settle (5 s)",
+    )
+    assert 20.0 <= (cleared.time_ns - flight[0].received_ns) / 1e9 <= 22.0
+
+
+def test_a_vehicle_whose_estimates_settle_in_vain_is_blind_again_until_there_is_evidence(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    messages = frozen_measurements(flight, (12.0, 18.0))
+    for start_s in (20.0, 24.0, 28.0):
+        messages = without(messages, ["ATTITUDE", "HIGHRES_IMU", "GPS_RAW_INT"], start_s, start_s + 2.0)
+    states = [event.state for event in blind_of(quad_profile, messages)]
+    assert [state for state in states if state != "updated"] == ["raised", "cleared", "raised"]
+
+
+def test_alarms_raised_since_the_measurements_froze_end_under_the_alarm_that_says_so(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    events = events_of(quad_profile, frozen_measurements(flight, (20.0, 1e9)))
     assert {event.observer for event in events if event.state == "raised"} == {"inertial", "monitor"}
     assert events[-1].channel == "blind"
     gps = [event.channel for event in events if event.message == "explained by frozen telemetry"]
