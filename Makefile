@@ -12,7 +12,7 @@ PYTEST := $(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder
 .PHONY: core demo console test test-long test-system lint format docs dist clean
 
 core:
-	CFLAGS="-O2 -ffp-contract=off" $(BIN)/cythonize --inplace --quiet $(CORE)
+	CFLAGS="-O2 -ffp-contract=off" $(BIN)/cythonize --inplace --quiet $(filter %.pyx,$(CORE))
 
 demo: $(VENV)/.app
 	$(BIN)/fauio demo
