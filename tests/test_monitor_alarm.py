@@ -175,6 +175,8 @@ def test_a_size_that_moves_less_than_three_standard_deviations_is_no_update() ->
     manoeuvre = times >= 3_000_000_000
     evidence, sd = np.where(manoeuvre, -0.07, -0.05), np.where(manoeuvre, 0.015, 0.001)
     assert [event.state for event in process(new_alarm(), evidence, times, sd=sd)] == ["raised"]
+    sd[:] = 0.006  # of either size, so that of their difference is 0.0085
+    assert [event.state for event in process(new_alarm(), evidence, times, sd=sd)] == ["raised"]
     sd[:] = 0.001
     assert [event.state for event in process(new_alarm(), evidence, times, sd=sd)] == ["raised", "updated"]
 

@@ -6,7 +6,7 @@ The rule itself is described in :mod:`monitor.alarms.alarm`, whose names it bear
 
 import numpy as np
 
-from libc.math cimport INFINITY, NAN, exp, fabs, isfinite, isnan, sqrt
+from libc.math cimport INFINITY, NAN, exp, fabs, hypot, isfinite, isnan, sqrt
 from libc.stdint cimport int64_t, uint8_t
 
 cdef double NANOSECONDS = 1e9
@@ -18,9 +18,9 @@ cdef int64_t UPDATE_EVERY_NS = 1_000_000_000
 # thrust varies by 3 to 6 % of itself (one standard deviation, losses of 5, 10 and 20 % in gusts), so 15 % is not noise.
 cdef double UPDATE_SHARE = 0.15
 
-# The move has to be this many standard deviations of the new size, too. In a manoeuvre the size of a constant fault is
-# known ten times worse than before it. Chosen: sizes change within a second, and of 60 in a minute normal noise moves
-# three by two deviations, one in six minutes by three.
+# The move has to be this many standard deviations, too, of the difference of two sizes that both have errors. In a
+# manoeuvre the size of a constant fault is known ten times worse than before it. Chosen: sizes change within a second,
+# and of 60 in a minute normal noise moves three by two deviations, one in six minutes by three.
 cdef double UPDATE_SDS = 3.0
 
 # An update also reports a size whose standard deviation is smaller by this factor than that of the size last reported:
@@ -402,7 +402,9 @@ cdef class AlarmState:
         if self.reported_command != 0.0 and isfinite(command / self.reported_command):
             expected *= command / self.reported_command
         moves = max(UPDATE_SHARE * fabs(expected), self.size / 2)
-        moved = fabs(shown - expected) > (moves if isnan(sd) else max(moves, UPDATE_SDS * sd))
+        if not isnan(sd):
+            moves = max(moves, UPDATE_SDS * hypot(sd, self.reported_sd))
+        moved = fabs(shown - expected) > moves
         # Any standard deviation is better than an unknown one.
         sharper = UPDATE_SHARPER * sd <= self.reported_sd or (isnan(self.reported_sd) and not isnan(sd))
         if worsens or ((moved or sharper or rival != self.rival) and due):
