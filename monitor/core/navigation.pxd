@@ -108,11 +108,13 @@ cdef class Navigation:
     cdef double _sharp, _speed_noise
     cdef double[2][2] _off
     cdef double[3] _missed
-    # Of gyros and accelerometers: biases; biases before a fault, and their variances; by what share the variance of a
-    # fault's size is larger than that of its bias, as the onset is not known; whether there is a fault.
+    # Of gyros and accelerometers: biases; biases before a fault, their variances, and their errors' covariances with
+    # those of the state now; by what share the variance of a fault's size is larger, as the onset is not known; whether
+    # there is a fault.
     cdef double[BIASES] _bias
     cdef double[BIASES] _before
     cdef double[BIASES] _doubt
+    cdef double[STATES * BIASES] _shared
     cdef double[BIASES] _unsure
     cdef bint[BIASES] _faulty
     cdef double[STATES][STATES] _P

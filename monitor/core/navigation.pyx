@@ -33,9 +33,12 @@ believed if its largest l is above a level and above those of all others. Its fa
 uncertainty, and estimated until it is small. Its size f^ = b^(t) - b^(t_0) includes what the filter had estimated of
 the fault before it was believed. Its variance is
 
-    var f^ = P_b(t) + P_b(t_0) - 2 cov <= P_b(t) + P_b(t_0),
+    var f^ = P_b(t) + P_b(t_0) - 2 C_b(t),    C(t) = E[e(t) e_b(t_0)],
 
-since errors of a slow bias keep their sign (cov >= 0); the bound is returned.
+where e are errors of the state. What neither shows nor changes, a bias that a tilt hides, cancels. Innovations are
+independent of the error that they leave, so for a constant bias E[e(t) e_b(t_0)] = P(t), its column of b, while no
+fault is believed; the size that is added then shares with them the share 1 - s_b of a unit fault that the filter has
+followed by then, so that C = P - (1 - s_b) s / sum s' S^-1 s. From there C+ = (I - K H) F C.
 
 An autopilot learns a gyro's bias and subtracts it from its messages, which looks like the end of the fault. The true
 end is learned too, and leaves a tilt that looks like any of these faults. So the first apparent fault after a gyro's is
@@ -247,6 +250,7 @@ cdef class Navigation:
             self._P[i][i] = (_START[i] if i < _FIELD_LATE else self._field_timing_s) ** 2
         memset(self._bias, 0, sizeof(self._bias))
         memset(self._faulty, 0, sizeof(self._faulty))
+        memset(self._shared, 0, sizeof(self._shared))
         memset(self._offset, 0, sizeof(self._offset))
         memset(self._drift, 0, sizeof(self._drift))
         memset(self._led, 0, sizeof(self._led))
@@ -630,6 +634,7 @@ cdef class Navigation:
         for k in range(2):
             self.spread_by(self._coasts[k].P, columns, used)
             self.carry(self._coasts[k].led, 1, columns, used)
+        self.carry(self._shared, BIASES, columns, used)
         for k in range(n):
             self.signature(k).age_s += self._step_s
             self.carry(self.signature(k).state[0], HYPOTHESES, columns, used)
@@ -688,7 +693,7 @@ cdef class Navigation:
         cdef double[STATES] H
         cdef double[HYPOTHESES] expected
         cdef int[STATES] columns
-        cdef double S, nu
+        cdef double S, nu, known
         cdef Signature* signature
         cdef int m, i, j, k, h, n, used
         self._count += 1
@@ -731,6 +736,12 @@ cdef class Navigation:
                 for i in range(STATES):
                     for h in range(HYPOTHESES):
                         signature.state[i][h] -= gain[i] * expected[h]
+            for h in range(BIASES):
+                known = 0.0
+                for i in range(used):
+                    known += H[columns[i]] * self._shared[columns[i] * BIASES + h]
+                for i in range(STATES):
+                    self._shared[i * BIASES + h] -= gain[i] * known
             for i in range(STATES):
                 x[i] += gain[i] * nu
                 for j in range(STATES):
@@ -879,7 +890,11 @@ cdef class Navigation:
     cdef void jump(self, Signature* signature, int which, double size, double spread) noexcept:
         """Add a fault to the state, with its uncertainty, and begin a new set of onsets."""
         cdef double[STATES] x
+        cdef double followed = spread * (1.0 - signature.state[_BG + which][which]) if which < BIASES else 0.0
         cdef int i, j
+        if which < BIASES and not self._faulty[which]:
+            for i in range(STATES):
+                self._shared[i * BIASES + which] = self._P[i][_BG + which] - followed * signature.state[i][which]
         for i in range(STATES):
             x[i] = size * signature.state[i][which]
             for j in range(STATES):
@@ -927,12 +942,16 @@ cdef class Navigation:
         return self._bias[which] - self._before[which] if self._begun and self._faulty[which] else 0.0
 
     cdef double spread(self, int which) noexcept:
-        """Return the standard deviation of :meth:`fault`, from the bias now and before the fault."""
+        """Return the standard deviation of :meth:`fault`, or of the bias where there is none."""
+        cdef double variance
         if not self._begun:
             return 0.0
         variance = self._P[_BG + which][_BG + which]
-        # The filter took one onset for true, and is as much too sure of all that it has made of it since.
-        return sqrt((1.0 + self._unsure[which]) * variance + self._doubt[which] if self._faulty[which] else variance)
+        if self._faulty[which]:
+            # The filter took one onset for true, and is as much too sure of all that it has made of it since.
+            variance += self._unsure[which] * variance + self._doubt[which]
+            variance -= 2.0 * self._shared[(_BG + which) * BIASES + which]
+        return sqrt(fmax(0.0, variance))
 
     cdef double pointing(self) noexcept:
         """Return the standard deviation of the direction of a healthy field, by the tilt and heading from the gyros."""
