@@ -630,12 +630,10 @@ Each fault counts once, however long it lasts. Faults put in are exact and come 
 
 Healthy accelerometers x and y have no error, as their estimate is zero until one is held responsible. Known causes:
 
-- The flight left out is calmer than the fitted ones: motors err there by a quarter (ArduPilot's log) to all of their
-  deviation. The level of the residuals does not tell how much, so that no deviation is smaller than the fitted one.
-  Alarms of motor 2 in recorded flights, most of all recorded ones, have 80 % and 1.4.
+- A flight tells only within a minute how large its own errors are; until then the fitted flights decide. Of ArduPilot's
+  logs the flight left out is four times calmer than they are.
 - The size of a GPS step on PX4 wanders with the receiver since its onset.
-- The navigation counts the errors of a gyro's or accelerometer's bias before and after its fault as independent, and no
-  receiver's speed as better than 0.05 m/s; simulated ones are.
+- The navigation counts no receiver's speed as better than 0.05 m/s; simulated ones are.
 - The first size of an accelerometer z on PX4 misses by more than it seems to move.
 - A radio's motors differ more from flight to flight than within the one that was fitted.
 - North and east of a GPS position share a deviation, but on ArduPilot's simulator one of them errs more than the other.

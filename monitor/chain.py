@@ -194,6 +194,7 @@ class ChainRun(NamedTuple):
     effects: Mapping[int, EffectivenessRun]
     found: EstimatorRun  # the estimator's own result, in effect units
     scale: NDArray[np.float64]  # how many times its threshold each fault has to reach (n, a), 1 or more
+    noise: NDArray[np.float64]  # the fitted standard deviation of each fault's estimate, in effect units (n, a)
     size_sd: NDArray[np.float64]  # the standard deviation of each fault's size as an event gives it (n, a)
     sudden_sd: NDArray[np.float64] | None  # the standard deviation of a sudden change's size (n,)
     unflown: NDArray[np.bool_] | None = None  # rows whose y counts as lost because it is unlike the fitted flights (n,)
@@ -447,21 +448,26 @@ class ObserverChain:
         if position is None:
             position = np.arange(len(samples))
         found = self._estimator.run(given, armed)
-        sd = self._uncertainty.run(samples.measured, samples.restart)
+        noise = self._uncertainty.run(samples.measured, samples.restart)
         for name, deviation in given.spread.items():
             if name in self.layout.faults:
                 index = self.layout.faults.index(name)
-                sd[:, index] = np.hypot(sd[:, index], deviation)
+                noise[:, index] = np.hypot(noise[:, index], deviation)
+        shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, noise)
         effects = self._effectiveness.run(samples, found.fault, armed)
         sizes = found.evidence.copy() if effects else found.evidence
         for index, effect in effects.items():
-            sizes[:, index] = effect.size
-            with np.errstate(divide="ignore", invalid="ignore"):
-                sd[:, index] = np.where(effect.size == 0.0, sd[:, index], np.abs(effect.size) / effect.score)
-        shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
+            sizes[:, index] = shown.isolated[:, index] = effect.size
+            shown.full[:, index] = 1.0
+        thresholds = [alarm.rule.threshold for alarm in self._alarms[: len(self._faults)]]
+        healthy = armed & (np.abs(shown.isolated[:, self._columns]) < thresholds).all(axis=1)
+        larger = self._uncertainty.of_flight(noise, found.fault, found.level, healthy)
+        sd, shown_sd = noise * larger, shown.sd * larger
         for index, effect in effects.items():
-            shown.isolated[:, index], shown.sd[:, index], shown.full[:, index] = effect.size, sd[:, index], 1.0
-        size_sd = self._uncertainty.of_sizes(sd, sizes, found.level, shown.sd, shown.full)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                told = np.where(effect.size == 0.0, sd[:, index], np.abs(effect.size) / effect.score)
+            sd[:, index] = shown_sd[:, index] = told
+        size_sd = self._uncertainty.of_sizes(sd, sizes, shown_sd, shown.full)
         for name, size in given.sizes.items():
             if name in self.layout.faults:
                 index = self.layout.faults.index(name)
@@ -477,10 +483,10 @@ class ObserverChain:
             isolated=shown.isolated,
             residual=found.residual,
             armed=armed,
-            sd=np.where(shown.isolated == 0.0, shown.sd, size_sd) if np.count_nonzero(shown.isolated) else shown.sd,
+            sd=np.where(shown.isolated == 0.0, shown_sd, size_sd) if np.count_nonzero(shown.isolated) else shown_sd,
             coasted_s=self._coasted_s(samples),
         )
-        return self._with_evidence(estimates, position, found, effects, shown.commands, given, sd, size_sd)
+        return self._with_evidence(estimates, position, found, effects, shown.commands, given, noise, sd, size_sd)
 
     def _coasted_s(self, samples: Samples) -> NDArray[np.float64]:
         """Return the seconds since the outputs were last measured, at each of n samples (n,); a restart is measured."""
@@ -512,6 +518,7 @@ class ObserverChain:
         effects: Mapping[int, EffectivenessRun],
         commands: NDArray[np.float64],
         given: Given,
+        noise: NDArray[np.float64],
         sd: NDArray[np.float64],
         size_sd: NDArray[np.float64],
     ) -> ChainRun:
@@ -568,7 +575,7 @@ class ObserverChain:
             alarm_scale,
             **({} if changes is None else self._named(changes)),
             sd=size_sd[:, self._columns],
-            noise=sd[:, self._columns],
+            noise=noise[:, self._columns],
             command=commands[:, self._columns],
             rival=found.rival[:, self._columns],
             frozen=self._frozen(given.frozen, estimates.armed),
@@ -583,6 +590,7 @@ class ObserverChain:
             effects,
             found,
             scale,
+            noise,
             size_sd,
             None if changes is None else changes.sd,
             given.unflown,

@@ -13,7 +13,7 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.affine import AffineObserver
-from monitor.estimation.uncertainty import LAG_S, Uncertainty
+from monitor.estimation.uncertainty import LAG_S, PRIOR_S, Uncertainty
 
 NAMES = ("motor", "sensor")
 RUNS = 250
@@ -66,7 +66,7 @@ def test_two_standard_deviations_hold_the_size_of_a_fault_19_times_of_20(gains: 
     begin, noise = onset + round(1.2 * LAG_S * gains.rate_hz), np.tile(health.std(axis=(0, 1)), (RUNS * count, 1))
     truth = 0.05 + 0.1 * rng.random((RUNS, 2))
     sizes = estimated(truth)
-    sd = uncertainty(gains).of_sizes(noise, sizes, np.ones(len(sizes)), noise, np.ones_like(sizes))
+    sd = uncertainty(gains).of_sizes(noise, sizes, noise, np.ones_like(sizes))
     within = np.abs(sizes - np.repeat(truth, count, axis=0)) <= 2.0 * sd
     inside = within.reshape(RUNS, count, 2)[:, begin:].mean(axis=(0, 1))
     assert ((inside >= 0.90) & (inside <= 0.98)).all()
@@ -108,10 +108,33 @@ def test_cuts_do_not_change_a_bit(
 
 @given(parts=cuts(60))
 def test_cuts_do_not_change_a_bit_of_what_sizes_add(gains: Gains, parts: list[slice]) -> None:
-    sizes, sd, level = np.random.default_rng(2).normal(size=(60, 2)), np.full((60, 2), 0.1), np.full(60, 1.5)
-    columns = sd, sizes, level, sd, np.ones((60, 2))
+    sizes, sd = np.random.default_rng(2).normal(size=(60, 2)), np.full((60, 2), 0.1)
+    columns = sd, sizes, sd, np.ones((60, 2))
     whole, cut = uncertainty(gains).of_sizes(*columns), uncertainty(gains)
     assert np.concatenate([cut.of_sizes(*(q[part] for q in columns)) for part in parts]).tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize("larger", [0.4, 1.0, 2.0])
+def test_a_flight_tells_how_large_its_errors_are_and_a_fault_does_not_count(gains: Gains, larger: float) -> None:
+    rng, flown_s = np.random.default_rng(5), 30.0
+    count = round(flown_s * gains.rate_hz)
+    sd, healthy = np.full((2 * count, 2), 0.1), np.arange(2 * count) < count
+    fault = larger * sd * rng.normal(size=sd.shape) + 10.0 * ~healthy[:, None]
+    factor = uncertainty(gains).of_flight(sd, fault, np.ones(2 * count), healthy)
+    known = np.sqrt((PRIOR_S + larger**2 * flown_s) / (PRIOR_S + flown_s))
+    assert factor[0] == pytest.approx(1.0)
+    assert factor[count:] == pytest.approx(np.full((count, 2), known), rel=0.05)
+    # gusts that the residuals show, too, are no error of the whole flight
+    gusts = uncertainty(gains).of_flight(sd, fault, np.full(2 * count, larger**2), healthy)
+    assert gusts[-1] == pytest.approx(min(known, 1.0) if larger < 1.0 else larger, rel=0.05)
+
+
+@given(parts=cuts(60))
+def test_cuts_do_not_change_a_bit_of_what_a_flight_tells(gains: Gains, parts: list[slice]) -> None:
+    fault, sd = np.random.default_rng(6).normal(size=(60, 2)), np.full((60, 2), 0.7)
+    columns = sd, fault, np.full(60, 1.2), np.arange(60) % 7 > 0
+    whole, cut = uncertainty(gains).of_flight(*columns), uncertainty(gains)
+    assert np.concatenate([cut.of_flight(*(q[part] for q in columns)) for part in parts]).tobytes() == whole.tobytes()
 
 
 def lag_s(gains: Gains) -> float:
@@ -124,7 +147,7 @@ def test_a_size_is_uncertain_by_what_is_missing_of_a_ramp_and_at_least_by_that_o
     delay_s = LAG_S / np.log(2.0) + lag_s(gains)
     sizes = np.column_stack([20.0 * -np.expm1(-seconds / delay_s), seconds])
     noise = np.full((2_000, 2), 1e-6)
-    sd = uncertainty(gains).of_sizes(noise, sizes, np.ones(2_000), noise, np.ones_like(noise))
+    sd = uncertainty(gains).of_sizes(noise, sizes, noise, np.ones_like(noise))
     missing = 20.0 - sizes[:, 0]
     begun = (seconds > LAG_S) & (missing > 1e-3)
     share = sd[begun, 0] / missing[begun]
@@ -137,7 +160,7 @@ def test_a_slow_ramp_is_missed_by_its_lag_where_health_is_known_to_wander_slower
     still = {"sensor": 0.01}
     white, slow, on_lines = (
         Uncertainty(AffineObserver([gains]), plant(), NAMES, moves=moves, lines_s=lines_s).of_sizes(
-            noise, sizes, np.ones(800), noise, np.ones_like(noise)
+            noise, sizes, noise, np.ones_like(noise)
         )[-1, 1]
         for moves, lines_s in (({}, {}), (still, {}), (still, {"sensor": 1.2}))
     )
@@ -149,5 +172,5 @@ def test_a_slow_ramp_is_missed_by_its_lag_where_health_is_known_to_wander_slower
 def test_a_constant_share_of_a_command_does_not_move(gains: Gains) -> None:
     full = np.column_stack([1.0 + 0.5 * np.sin(np.arange(200.0)), np.ones(200)])
     noise = np.full((200, 2), 0.001)
-    sd = uncertainty(gains).of_sizes(noise, -0.1 * full, np.ones(200), noise, full)
+    sd = uncertainty(gains).of_sizes(noise, -0.1 * full, noise, full)
     assert sd[50:] == pytest.approx(noise[50:])

@@ -299,6 +299,55 @@ cdef class ErrorCovariance:
                     sums[j] += factor * row[j]
 
 
+cdef class FlightErrors:
+    """How much larger the errors of estimates are in this flight than in the fitted ones, by both in one mean.
+
+    The square of each estimate's error relative to the fitted standard deviation has a mean of which the fit knows as
+    much as ``prior_s`` of flight, and which forgets what is older than ``memory_s``.
+
+    Parameters
+    ----------
+    faults : int
+        Number of estimates a.
+    dt, prior_s, memory_s : float
+        Time between rows, and these times, seconds.
+    most : float
+        Largest error that counts, in standard deviations.
+    """
+
+    cdef double[::1] square
+    cdef double dt, known_s, memory_s, most
+
+    def __init__(self, faults, dt, prior_s, memory_s, most):
+        self.square = np.ones(faults)
+        self.dt, self.known_s, self.memory_s, self.most = dt, prior_s, memory_s, most * most
+
+    def run(self, const double[:, :] sd, const double[:, :] fault, const double[:] level,
+            const unsigned char[:] healthy):
+        """Return by what factor the deviations of n estimates ``fault`` are those of the fitted flights, ``sd`` (n, a).
+
+        ``level`` is the residuals' mean square relative to that of healthy flight (n,), which counts where it is
+        larger. In rows that are ``healthy`` evidence (n,) an estimate is an error; one that is exactly 0 was not made.
+        """
+        cdef Py_ssize_t k, i, count = sd.shape[0], faults = self.square.shape[0]
+        cdef double larger, share, error
+        if not same_shape(sd, fault) or sd.shape[1] != faults or not count == level.shape[0] == healthy.shape[0]:
+            raise ValueError(f"sd, fault, level and healthy are not of {faults} estimates each")
+        result = np.empty((count, faults))
+        cdef double[:, ::1] factors = result
+        for k in range(count):
+            larger = at_least(level[k], 1.0)
+            if healthy[k]:
+                self.known_s = min(self.known_s + self.dt, self.memory_s)
+            share = self.dt / self.known_s
+            for i in range(faults):
+                factors[k, i] = sqrt(larger * self.square[i])
+                error = fault[k, i] * fault[k, i] / (larger * sd[k, i] * sd[k, i])
+                if healthy[k] and error > 0.0:
+                    self.square[i] += share * (min(error, self.most) - self.square[i])
+        return result
+
+
 cdef class SizeErrors:
     """Standard deviations of the sizes of alarms, by the formula of :mod:`monitor.estimation.uncertainty`.
 
@@ -320,16 +369,14 @@ cdef class SizeErrors:
         self.ahead, self.apart = np.ascontiguousarray(ahead, np.float64), np.ascontiguousarray(apart, np.float64)
         self.before = np.zeros((max(rows) + 1, len(rows)))
 
-    def run(self, const double[:, :] sd, const double[:, :] sizes, const double[:] level, const double[:, :] shown,
-            const double[:, :] full):
+    def run(self, const double[:, :] sd, const double[:, :] sizes, const double[:, :] shown, const double[:, :] full):
         """Return the standard deviations of n sizes (n, a) where ``shown`` are the shown ones of their estimates.
 
-        ``sd`` are those of the estimates in the unit of the sizes, in healthy flight (n, a); ``level`` is the
-        residuals' mean square relative to that of healthy flight (n,). ``full`` is what each size is a share of (n, a),
-        1 of a size that is none.
+        ``sd`` are those of the estimates in the unit of the sizes (n, a). ``full`` is what each size is a share of
+        (n, a), 1 of a size that is none.
         """
         cdef Py_ssize_t k, i, then, length = self.before.shape[0], count = sizes.shape[0], faults = self.rows.shape[0]
-        cdef double size, noise, way
+        cdef double size, way
         if not (same_shape(sd, sizes) and same_shape(shown, sizes) and same_shape(full, sizes)) or (
             sizes.shape[1] != faults
         ):
@@ -340,12 +387,11 @@ cdef class SizeErrors:
             self.newest = (self.newest + 1) % length
             for i in range(faults):
                 size = sizes[k, i]
-                noise = sd[k, i] * sqrt(at_least(level[k], 1.0))
                 then = (self.newest + length - self.rows[i]) % length
                 way = fabs(size - self.before[then, i] * full[k, i])
-                way = self.ahead[i] * at_least(way - 2.0 * self.apart[i] * noise, 0.0)
+                way = self.ahead[i] * at_least(way - 2.0 * self.apart[i] * sd[k, i], 0.0)
                 self.before[self.newest, i] = size / full[k, i]
-                errors[k, i] = shown[k, i] * (hypot(noise, way) / sd[k, i])
+                errors[k, i] = shown[k, i] * (hypot(sd[k, i], way) / sd[k, i])
         return result
 
 

@@ -6,18 +6,23 @@ designed for, so their covariance is P+ = A P A^T + B B^T. While all rows are me
 Lyapunov equation P = A P A^T + B B^T and nothing has to be computed; after a loss or a restart it is stepped until it
 is back.
 
-The scales are those of healthy flight (:mod:`monitor.fitting.spread`). A fault brings errors that healthy flight does
-not have, so the standard deviation of an alarm's size, and of the estimate of a channel that is held responsible, is
+The scales are those of healthy flight (:mod:`monitor.fitting.spread`), and flights differ: with weather and manoeuvres,
+and in what the vehicle's model or a receiver has for constant. While nothing is faulty each estimate is an error, so
+the flight itself tells their variance, rho lambda P: lambda is the level of this run's residuals (1 in the fitted
+flights and calmer ones, larger in gusts), rho the mean of f^2 / (lambda P), in which the fitted flights (1) count for
+:data:`PRIOR_S`.
 
-    sqrt(lambda P + way^2),    way = T / h max(0, |f(t) - f(t - h)| - 2 sd_h),
+A fault brings errors that healthy flight does not have, so the standard deviation of an alarm's size, and of the
+estimate of a channel that is held responsible, is
 
-with h = max(lag, MOVED T), f the size, lambda the level of this run's residuals (1 in healthy flight, larger in
-gusts), and way what is still missing of f, as its movement tells. Behind a ramp an estimate with a mean delay T is T
-times the slope; after a step, which it approaches as e^(-t / T), it misses less, by the factor (h / T) / (e^(h / T) -
-1). Which of the two a fault is its size does not say. sd_h is what moves a size in healthy flight, as measured there
-(a receiver that wanders moves much less within h than white noise). Where it was not measured, noise moves it that the
-observer alone smooths, sd_h = sqrt(2 (1 - e^(-h / T_own)) lambda P). A size that is a share of a command is one here,
-too: a constant share does not move.
+    sqrt(rho lambda P + way^2),    way = T / h max(0, |f(t) - f(t - h)| - 2 sd_h),
+
+with h = max(lag, MOVED T), f the size, and way what is still missing of f, as its movement tells. Behind a ramp an
+estimate with a mean delay T is T times the slope; after a step, which it approaches as e^(-t / T), it misses less, by
+the factor (h / T) / (e^(h / T) - 1). Which of the two a fault is its size does not say. sd_h is what moves a size in
+healthy flight, as measured there (a receiver that wanders moves much less within h than white noise). Where it was not
+measured, noise moves it that the observer alone smooths, sd_h = sqrt(2 (1 - e^(-h / T_own)) rho lambda P). A size that
+is a share of a command is one here, too: a constant share does not move.
 
 Nothing grows with f itself: where a motor delivers less the model's errors are those of healthy flight at the smaller
 command, and faults of sensors add. On recorded losses of motors the truth was within two of these standard deviations
@@ -38,7 +43,7 @@ from numpy.typing import NDArray
 
 from gains.plants.discretise import discretise
 from gains.plants.plant import Plant
-from monitor.core.observers import ErrorCovariance, SizeErrors
+from monitor.core.observers import ErrorCovariance, FlightErrors, SizeErrors
 from monitor.estimation.bank import owners
 from monitor.estimation.isolation_rule import BankRule, IsolationRule
 from monitor.estimation.observer import Observer
@@ -52,6 +57,14 @@ _FIXES_S = 0.2
 MOVED = 0.25
 """Time over which the movement of a size is taken, as a share of its delay. Chosen: a longer one tells movement from
 noise more surely; within a shorter one the fault is raised (a gyro's of 5 times its threshold after a fifth)."""
+PRIOR_S, MEMORY_S = 20.0, 60.0
+"""For how much of a flight the fitted flights' variance counts, and how much of it is remembered, seconds. Derived: the
+variances of flights differ by a factor of about 3 (one deviation; docs/sizes.md), which one or two independent errors
+tell as well (2 / nu = log(3)^2), and an error of slow commands or a receiver lasts some ten seconds. Chosen: six of
+them are known to a factor of 1.7, and within a minute weather and manoeuvres are alike."""
+_MOST = 4.0
+"""Largest error that counts in it, in standard deviations: a fault that no alarm shows yet is no error. Chosen: the
+errors of radios' motors are twice the fitted ones."""
 _BACK = 0.01
 """Share of the steady standard deviations within which others count as steady. Chosen: a hundredth shows in no plot and
 no alarm, while the rest of an exponential approach would be stepped in vain."""
@@ -63,8 +76,9 @@ class Uncertainty:
     ``faults`` are all fault channels (a,) in the order of the estimates, ``scale`` has factors on the standard
     deviations of the error system, for some of them. ``moves`` has, for some, how far noise moves an estimate within
     ``rows`` samples, as a multiple of its standard deviation. ``lines_s`` has, for some, the time between two
-    measurements. ``lag_s`` is :data:`LAG_S`, or the smoothing alone where the model has all other lags. ``of_sizes``
-    returns the standard deviation of n sizes of alarms, as :class:`SizeErrors` says.
+    measurements. ``lag_s`` is :data:`LAG_S`, or the smoothing alone where the model has all other lags. ``of_flight``
+    returns how much larger those of n estimates are in this flight, as :class:`FlightErrors` says, and ``of_sizes``
+    those of n sizes of alarms, as :class:`SizeErrors` says.
     """
 
     def __init__(
@@ -91,6 +105,7 @@ class Uncertainty:
         moved_s = self.rows / observer.rate_hz
         still = np.exp(-moved_s / np.maximum(own_s, 1e-3 * moved_s))
         apart = [moves.get(name, white) for name, white in zip(faults, np.sqrt(2.0 * (1.0 - still)), strict=True)]
+        self.of_flight = FlightErrors(len(faults), 1.0 / observer.rate_hz, PRIOR_S, MEMORY_S, _MOST).run
         self.of_sizes = SizeErrors(self.rows, delay_s / moved_s, np.array(apart)).run
         if systems is None:
             return
@@ -120,7 +135,7 @@ class Uncertainty:
         )
 
     def run(self, measured: NDArray[np.bool_], restart: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return one standard deviation of each fault estimate after each of n samples (n, a), effect units.
+        """Return one fitted standard deviation of each fault estimate after each of n samples (n, a), effect units.
 
         NaN if there is no plant, or the observer has no error system. ``measured`` tells whether the outputs of each
         sample were measured (n,), ``restart`` whether the observer restarts before it (n,).

@@ -51,7 +51,7 @@ def fit_spread(observer: ObserverProfile, plant: Plant, gate: GateRule, flights:
     usual = dict.fromkeys(names, 1.0)
     for run, stretches in healthy_runs(replace(observer, model=plant), gate, flights):
         for rows in stretches:
-            errors, sds = run.estimates.fault[rows].T, run.estimates.sd[rows].T
+            errors, sds = run.found.fault[rows].T, run.noise[rows].T
             for name, error, sd, back in zip(names, errors, sds, rows_of, strict=True):
                 smoothed = weighted_mean(error, observer.isolation.smoothing_s, observer.rate_hz)
                 usual[name] = float(np.median(sd))
