@@ -26,7 +26,7 @@ is a share of a command is one here, too: a constant share does not move.
 
 Nothing grows with f itself: where a motor delivers less the model's errors are those of healthy flight at the smaller
 command, and faults of sensors add. On recorded losses of motors the truth was within two of these standard deviations
-97 to 100 % of the time (docs/sizes.md).
+94 to 100 % of the time (docs/sizes.md).
 
 T = T_own + lag / log 2, and as much more as a straight line between two measurements lasts longer than between fixes:
 a sample on it is complete only with its end. T_own is the mean delay by the error system, of a fault that moves the
