@@ -189,6 +189,30 @@ def test_elsewhere_it_is(above_mm: int) -> None:
     assert admitted(GateRule(settle_s=0.0), commanded(0.5), (known, 1)) == [True]
 
 
+@pytest.mark.parametrize(("left_s", "watched_s"), [(6, 6), (None, 20)])
+def test_a_plane_that_reports_to_fly_while_it_rolls_is_watched_once_it_has_left_the_ground(
+    left_s: int | None, watched_s: int
+) -> None:
+    """Heights that are always those of home hide no more of a flight than the longest roll."""
+    known = phase(landed=1)
+    found = []
+    for second in range(25):
+        height_mm = 0 if left_s is None or second < left_s else 2500
+        now_ns = second * 10**9
+        known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", now_ns, {"relative_alt": height_mm}, 1, 1))
+        known.feed(Message(MAVLINK, "EXTENDED_SYS_STATE", now_ns, {"landed_state": 2}, 1, 1))
+        found += admitted(GateRule(settle_s=0.0), commanded(0.5), (known, 1))
+    assert found == [second >= watched_s for second in range(25)]
+
+
+def test_a_plane_in_low_flight_is_watched_from_the_first_message_on() -> None:
+    known = FlightPhase()
+    for second in range(3):
+        known.feed(Message(MAVLINK, "GLOBAL_POSITION_INT", second * 10**9, {"relative_alt": 1000}, 1, 1))
+        known.feed(Message(MAVLINK, "EXTENDED_SYS_STATE", second * 10**9, {"landed_state": 2}, 1, 1))
+        assert admitted(GateRule(settle_s=0.0), commanded(0.5), (known, 1)) == [True]
+
+
 def test_a_forged_height_of_its_home_among_true_ones_does_not_end_the_watch() -> None:
     known = phase(landed=None)
     for tick in range(50):

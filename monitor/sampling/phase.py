@@ -19,6 +19,9 @@ was lost, and its motors run as in hover (without motors and height: it moves on
 
 For some seconds after the vehicle has armed nothing is contested: a slower radio still reports that it has not.
 
+A plane reports that it is in the air while it rolls to take off: ArduPilot's from 10 m/s on. Until it has left the
+height of its home it counts as on the ground, for as long as such a roll lasts at most.
+
 Nobody else writes into a vehicle's own log, and it holds a report for each change: its reports are never contested.
 """
 
@@ -85,6 +88,9 @@ _SINKS_NS = 5_000_000_000
 _MOVES_CM_S = 500
 """Ground speed from which on a vehicle moves, centimetres per second: PX4's planes count as landed below it
 (LNDFW_VEL_XY_MAX)."""
+_ROLLS_NS = 20_000_000_000
+"""Longest roll after the report that it flies: from 10 to 25 m/s with 1 m/s^2 takes 15 s. Heights that are forged hide
+no more of a flight than that."""
 _UNKNOWN = 65535  # MAVLink's speed of a receiver that does not know it
 _MOST_REPORTS = 64
 """Most reports that are remembered. Chosen: at 6 Hz more than the time over which changes are counted; a flood needs no
@@ -202,6 +208,8 @@ class FlightPhase:
         self._low_ns: int | None = None
         self._moves_ns: int | None = None  # since when all fixes have shown that it moves; None if it does not
         self._away_ns: int | None = None  # when it was last reported to be at another height
+        # when it reported for the first time that it flies, at the height of its home; None once it has left that
+        self._rolls_ns: int | None = None
 
     @property
     def airborne(self) -> bool | None:
@@ -231,8 +239,8 @@ class FlightPhase:
 
     @property
     def near_home(self) -> bool:
-        """Whether a vehicle that does not report whether it flies is at about the height of its home."""
-        return self._landed is None and self.low
+        """Whether it is at about the height of its home, and does not report whether it flies, or has just begun to."""
+        return self.low and (self._landed is None or self._rolls_ns is not None)
 
     @property
     def armed(self) -> bool | None:
@@ -254,7 +262,7 @@ class FlightPhase:
         """The part of the state that decides something now; the rest may change without a consequence."""
         lands = self._landed == "landing"
         flies = self._armed, self._landed, lands and self._stays_up, lands and self.level, self.low, self.carried
-        return *flies, self.reports, self.contradiction, self.contested
+        return *flies, self._rolls_ns is None, self.reports, self.contradiction, self.contested
 
     def moves(self, since_ns: int, now_ns: int) -> bool:
         """Return whether it moved at a Unix time and has moved on until now, by all fixes of its GPS.
@@ -324,11 +332,15 @@ class FlightPhase:
         # A forged height of home among true heights must not end the watch.
         was_away = self._away_ns is not None and 0 <= now_ns - self._away_ns < _AWAY_NS
         self._low_ns = now_ns if abs(above_mm) <= _HIGH_MM and not was_away else None
+        if self._low_ns is None or self._rolls_ns is None or not 0 <= now_ns - self._rolls_ns < _ROLLS_NS:
+            self._rolls_ns = None
 
     def _follow_landed(self, message: Message) -> None:
         now_ns, state, on = message.received_ns, message.fields.get("landed_state"), message.fields.get("vtol_state")
         landed = _LANDED.get(state) if isinstance(state, int) else None
         self.hovers |= self._landed in (None, "air") and landed == "landing"
+        if self._landed == "ground" and landed == "air" and self.low:
+            self._rolls_ns = now_ns
         self._landed = "air" if (self._landed, landed) == ("air", "takeoff") else landed
         self.carried = _CARRIED.get(on) if isinstance(on, int) else None
         if not self.logged:
