@@ -50,7 +50,8 @@ def test_the_text_names_each_size_once_with_its_shortest_delay() -> None:
     assert (
         capability_text(found(((2.0, 0.3), (0.25, 1.5)), "m/s")) == "motor1: 0.3 m/s within 2 s, 1.5 m/s within 0.25 s"
     )
-    assert capability_text(found(((2.0, None), (0.25, None)))) == "motor1: nothing up to 50 % reliably within 2 s"
+    none = capability_text(found(((2.0, None), (0.25, None))))
+    assert none == "motor1: nothing up to 50 % reliably within 2 s by this observer alone"
     unmeasured = replace(found(((2.0, None),)), detections=())
     assert (
         capability_text(unmeasured) == "motor1: not measured, no healthy stretch in the logs is long and quiet enough"

@@ -45,7 +45,8 @@ def capability_text(capability: Capability) -> str:
         parts.append(f"{_size(capability, size)} within {within:g} s")
     if not parts:
         slowest = max(within for within, _ in capability.smallest)
-        parts.append(f"nothing up to {_size(capability, capability.largest)} reliably within {slowest:g} s")
+        largest = _size(capability, capability.largest)
+        parts.append(f"nothing up to {largest} reliably within {slowest:g} s by this observer alone")
     return f"{capability.channel}: {', '.join(parts)}"
 
 
