@@ -23,9 +23,9 @@ from monitor.core.repeats import Frozen
 from monitor.estimation.affine import AffineObserver
 from monitor.fitting.flights import Flight
 from monitor.profile import FaultChannel
-from monitor.vehicles.inertial.fit import _BENT_DOUBLE, _BENT_SINGLE, _CALMER, _frozen, _line_s
 from monitor.vehicles.inertial.fit import _alarms as sensor_alarms
 from monitor.vehicles.inertial.identify import inertial_bank, inertial_hypotheses, inertial_plant, smallest_faults
+from monitor.vehicles.inertial.readings import _CALMER, BENT_DOUBLE, BENT_SINGLE, frozen_times, line_s
 from monitor.vehicles.inertial.sensor_fit import (
     InertialData,
     InertialFit,
@@ -220,7 +220,7 @@ def test_a_compass_that_healthy_flight_turns_around_is_not_watched(off: float, w
     assert [alarm.rule.channel for alarm in found] == ["compass"] * watched
 
 
-@pytest.mark.parametrize(("kind", "bent_from"), [(np.float32, _BENT_SINGLE), (np.float64, _BENT_DOUBLE)])
+@pytest.mark.parametrize(("kind", "bent_from"), [(np.float32, BENT_SINGLE), (np.float64, BENT_DOUBLE)])
 def test_lines_between_slow_measurements_are_found_although_numbers_are_rounded(
     kind: type[np.floating[Any]], bent_from: float
 ) -> None:
@@ -233,7 +233,7 @@ def test_lines_between_slow_measurements_are_found_although_numbers_are_rounded(
     always, stamps, nothing = np.ones(count, np.bool_), np.arange(count), np.zeros((count, 1), np.bool_)
     u = np.interp(grid, times, told)[:, None]
     samples = Samples(stamps, stamps, stamps, u, u[:, :0], always, always, stamps, always, nothing)
-    assert _line_s([Flight(samples, always)], 0, 25.0, bent_from) == 0.2
+    assert line_s([Flight(samples, always)], 0, 25.0, bent_from) == 0.2
 
 
 def heights(noise: float, moves: float, readings: int) -> FloatArray:
@@ -251,7 +251,7 @@ def test_a_noisy_barometer_is_frozen_where_it_repeats_a_reading_longer_than_chan
     u = heights(noise, moves, 2000)
     always, stamps = np.ones(len(u), np.bool_), np.arange(len(u))
     samples = Samples(stamps, stamps, stamps, u, u[:, :0], ~always, always, stamps, always, np.isnan(u))
-    found = _frozen([Flight(samples, always)], [Channel(BAROMETER[0], "VFR_HUD", "alt")], 100.0, 0.1)
+    found = frozen_times([Flight(samples, always)], [Channel(BAROMETER[0], "VFR_HUD", "alt")], 100.0, 0.1)
     assert bool(found) == known
     if not known:
         return

@@ -2,18 +2,16 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from math import ceil, cos, inf, log, pi, sqrt
+from math import inf, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from gains.identification.segment import Segment
 from gains.synthesis.bank import compile_bank
 from gains.synthesis.gains_file import Gains
 from monitor.alarms.excuse import ExcuseRule
-from monitor.core.sampling import LINE_PERIODS
 from monitor.display import size_text
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.changes import WINDOW_S, ChangeRule
@@ -23,7 +21,6 @@ from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, raw_flights, transformed
 from monitor.fitting.spread import fit_spread
-from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
     Calibrated,
@@ -45,6 +42,7 @@ from monitor.vehicles.inertial.identify import (
     inertial_plant,
     smallest_faults,
 )
+from monitor.vehicles.inertial.readings import BENT_DOUBLE, BENT_SINGLE, HELD_PERIODS, frozen_times, holds, line_s
 from monitor.vehicles.inertial.ros_signals import BARE_POSITIONS, BODY_VELOCITY
 from monitor.vehicles.inertial.sensor_fit import (
     BARE_SETTLE_S,
@@ -70,7 +68,6 @@ from monitor.vehicles.inertial.strapdown import (
     BAROMETER,
     FIX_S,
     GPS,
-    IMU,
     LEARNED,
     MAGNETOMETER,
     SENSORS,
@@ -125,9 +122,6 @@ _SUDDEN = {
 threshold within the washout; as a random walk, it drifts within the test's window by the square root of that share
 of time: a position that moved further is no drift. Wind and currents act on barometer and compass at once and in
 full."""
-_BENT_SINGLE, _BENT_DOUBLE = 1e-6, 1e-12
-"""Smallest bend that counts, relative to the signal's size, of numbers of single and of double precision: above the
-rounding of a straight line. Heights in logs of PX4, of single precision, bend by 1e-7 between measurements."""
 _MOST_OF_JUMPS = 1.5
 """Largest ratio of the level to the largest healthy step: steps are too rare to fit a tail to them."""
 _TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
@@ -135,12 +129,6 @@ _TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
 _TRIAL_S = 90.0
 """Length of the part of each flight, from its middle, on which delays are tried, seconds. Chosen: it holds several
 manoeuvres, and a trial takes some seconds."""
-_HELD_PERIODS = 3.0
-"""Number of its usual periods after which a measurement that stays the same has stopped. Chosen: two measurements may
-be lost."""
-_LEAST_STUCK_S = 1.0
-"""Time after which a receiver that repeats a fix is stuck, seconds: in 27 flights of two simulators, with 5 and 8 fixes
-a second, no two consecutive fixes were the same."""
 _LEAST_LEVEL = float(-np.log(FALSE_ALARMS_PER_HOUR / 3600.0 * 0.2))
 """Least level of the log-likelihood: 12.1, from the granted rate of false alarms at five comparisons a second
 (Wald)."""
@@ -206,8 +194,8 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
         "velocity_washout_s": _VELOCITY_WASHOUT_S,
         **({"position_washout_s": _POSITION_WASHOUT_S} if channels.parameters["gps"] == BARE_POSITIONS else {}),
     }
-    parameters |= _holds(surveys, channels.channels, raw, signal_hz)
-    parameters |= _frozen(raw, channels.channels, signal_hz, FALSE_ALARMS_PER_HOUR / len(SENSORS))
+    parameters |= holds(surveys, channels.channels, raw, signal_hz)
+    parameters |= frozen_times(raw, channels.channels, signal_hz, FALSE_ALARMS_PER_HOUR / len(SENSORS))
     parameters |= _delays(raw, parameters, signal_hz, rate_hz)
     if channels.parameters["gps"] in (1.0, BODY_VELOCITY) and channels.imu and signal_hz >= NAVIGATED_HZ:
         if parameters["magnetometer"]:
@@ -270,7 +258,7 @@ def _designed(
     watched, signals = {found.rule.channel for found in alarms}, [channel.name for channel in channels.channels]
     lines_s = {
         # a GPS's fixes alone are of double precision
-        name: _line_s(raw, signals.index(signal), signal_hz, _BENT_DOUBLE if signal == GPS[0] else _BENT_SINGLE)
+        name: line_s(raw, signals.index(signal), signal_hz, BENT_DOUBLE if signal == GPS[0] else BENT_SINGLE)
         for name, signal in _SUDDEN.items()
         if name in watched and signal in signals
     }
@@ -325,26 +313,6 @@ def _sudden(
     return changes, sudden
 
 
-def _line_s(raw: Sequence[Flight], index: int, signal_hz: float, bent_from: float) -> float:
-    """Return the median length of the straight lines from one measurement of a signal to the next, seconds.
-
-    A bend counts from a share of the signal's size on.
-    """
-    lines = [np.zeros(0)]
-    bent, count = 0, 0
-    for flight in raw:
-        values = flight.samples.u[flight.evidence, index]
-        bends = np.abs(np.diff(values, 2)) > bent_from * max(1.0, float(np.abs(values).max(initial=0.0)))
-        # a measurement between two samples bends both of them
-        first = np.flatnonzero(bends & ~np.concatenate([[False], bends[:-1]]))
-        lines.append(np.diff(first))
-        bent, count = bent + int(bends.sum()), count + len(bends)
-    steps = np.concatenate(lines)
-    # A line of three samples and more bends at two samples in three at most.
-    ticks = float(np.median(steps)) if len(steps) and 3 * bent <= 2 * count else 1.0
-    return round(ticks / signal_hz, 3)
-
-
 def _data(segments: Sequence[Segment], transform: Strapdown, rate_hz: float) -> InertialData:
     """Return the signals in which the sensors are compared."""
     return InertialData(segments, transform.inputs, transform.outputs, rate_hz, _WASHOUTS)
@@ -357,7 +325,7 @@ def _field(
     transform = Strapdown(parameters, signal_hz, rate_hz)
     flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
     segments = [segment for flight in flights for segment in flight.segments()]
-    over_s = max(FIX_S, parameters.get("compass_hold_s", 0.0) / _HELD_PERIODS)
+    over_s = max(FIX_S, parameters.get("compass_hold_s", 0.0) / HELD_PERIODS)
     values = field_noise(_data(segments, transform, rate_hz), over_s)
     return {key: float(f"{value:.3g}") for key, value in values.items()}
 
@@ -390,32 +358,6 @@ def _bias_angles(gains: Sequence[Gains]) -> dict[str, float]:
     return angles
 
 
-_FROZEN_S = 0.5
-"""Time without a change of any value of IMU and attitude after which they are frozen, seconds. Chosen: two samples over
-the slowest radio (4 Hz); nine noisy values do not repeat once."""
-_REPEATED = 5.0
-"""Least ratio of that time to the longest repetition in healthy flight. Chosen: simulators without noise repeat
-values."""
-
-
-_LEAST_TURNS = 1.0 / 3.0
-"""Least share of changes against the one before of a sensor that is noisy: 2/3 by white noise alone, 1/3 if motion has
-two thirds of their variance. Measured on 19 flights: 0.47 to 0.68 where readings hardly ever repeat, 0.01 to 0.31
-for simulated barometers without noise, which repeat for up to 6.8 s in a calm."""
-_MOST_REPEATS = 0.25
-"""Largest chance of a repeat: the noise is then one step of the readings (q / (2 sqrt(pi) sigma) = 0.28), and the
-chance is the same wherever between two steps the value lies."""
-_RULE_OF_THREE = 3.0
-"""Repeats that were not seen but are possible, at 95 %."""
-_CALMER = 3.0
-"""Ratio of the noise in the fitted flights to that of a calm one, by which repeats come more often there. Chosen: the
-wash of propellers and gusts have a part in it."""
-_LEAST_FROZEN_S = 1.0
-"""Least time: twice the 500 ms (`BARO_TIMEOUT_MS`) for which ArduPilot takes a silent barometer for healthy."""
-_LEAST_READINGS = 100.0
-"""Fewest readings from which a chance is known: it is then below 0.03 if none repeats."""
-
-
 def _sampled(request: FitRequest, source: StrapdownSource, gate: GateRule) -> tuple[list[Flight], float, float]:
     """Return the flights' raw signals, their rate, and the rate of the observer, which is a whole fraction of it."""
     signal_hz = min(inertial_rate_hz(request.surveys, source), _FASTEST_HZ)
@@ -431,92 +373,6 @@ def _told(raw: Sequence[Flight], signal_hz: float) -> bool:
     hold = round(LEARNED_HOLD_S * signal_hz)
     lost = [LearnedBias(hold).run(flight.samples).lost[flight.evidence, 3] for flight in raw]
     return all(2 * missing.sum() < len(missing) for missing in lost)
-
-
-def _holds(
-    surveys: Sequence[Survey], channels: Sequence[Channel], raw: Sequence[Flight], signal_hz: float
-) -> dict[str, float]:
-    """Return how long a fix, a magnetic field, and the whole IMU may stay the same until the next measurement."""
-    holds = {}
-    repeated = [_longest_same(flight.samples.u[flight.evidence, : len(IMU)]) / signal_hz for flight in raw]
-    if repeated and _REPEATED * max(repeated) <= _FROZEN_S:
-        holds["imu_hold_s"] = _FROZEN_S
-    for index, channel in enumerate(channels):
-        if channel.name == GPS[0]:
-            slowest_hz = min(survey.rate_hz[channel.message] for survey in surveys)
-            holds["gps_hold_s"] = max(_LEAST_STUCK_S, _HELD_PERIODS / slowest_hz)
-        if channel.name == MAGNETOMETER[0]:
-            fields = [flight.samples.u[flight.evidence, index : index + len(MAGNETOMETER)] for flight in raw]
-            firsts = [_news(field) for field in fields]
-            steps = np.concatenate([np.zeros(0, np.intp), *(np.diff(one) for one in firsts if one is not None)])
-            if len(steps):
-                holds["compass_hold_s"] = round(_HELD_PERIODS * float(np.median(steps)) / signal_hz, 3)
-    return holds
-
-
-def _frozen(
-    raw: Sequence[Flight], channels: Sequence[Channel], signal_hz: float, alarms_per_hour: float
-) -> dict[str, float]:
-    """Return how long each noisy sensor may repeat a reading until it is frozen, and how long one reading may last.
-
-    Of a sensor with white noise each reading equals the one before with the same probability p, so that N readings an
-    hour hold N p^n runs of n repeats. While the vehicle moves p is smaller than at rest. Successive changes have a
-    correlation of rho = -1/2 by noise and 1 by smooth motion, and opposite signs in a share s = arccos(rho) / pi of
-    cases; so noise is (1 - rho) / 1.5 of their variance, and p at rest is larger by the square root of its inverse.
-    """
-    signals, holds = [channel.name for channel in channels], {}
-    for sensor, names in SENSORS.items():
-        if not set(names) <= set(signals):
-            continue
-        first = signals.index(names[0])
-        line = max(1, round(_line_s(raw, first, signal_hz, _BENT_SINGLE) * signal_hz))
-        repeats, readings, turned, longest = 0.0, 0, [np.zeros((0, len(names)), np.bool_)], 0.0
-        for rows in ((flight, rows) for flight in raw for rows in flight.stretches(at_restart=True)):
-            values = rows[0].samples.u[rows[1], first : first + len(names)]
-            news = _news(values)
-            ticks = np.diff(np.arange(0, len(values), line) if news is None else news)
-            if len(ticks) < 2:
-                continue
-            if news is None:
-                read, again = values[::line], np.array([_longest_same(values)]) / line
-            else:
-                line = max(line, round(float(np.median(ticks))))
-                read, again = values[news[1:] - 1], ticks / line - 1.0
-            changes = np.diff(read, axis=0)
-            turned.append(changes[1:] * changes[:-1] < 0.0)
-            repeats += float(np.rint(again).clip(0.0).sum())
-            readings, longest = readings + len(read), max(longest, float(again.max()))
-        share = float(np.concatenate(turned).mean(axis=0).max()) if readings >= _LEAST_READINGS else 0.0
-        if share < _LEAST_TURNS:
-            continue
-        noise = min(1.0, (1.0 - cos(pi * share)) / 1.5)
-        chance = _CALMER * (repeats + _RULE_OF_THREE) / readings / sqrt(noise)
-        if chance > _MOST_REPEATS:
-            continue
-        count = ceil(log(3600.0 * signal_hz / line / alarms_per_hour) / -log(chance))
-        # Runs that are longer than chance allows are no chance.
-        if longest < count:
-            # A reading stays for one period, the repeats for as many more, and half of one is jitter. A message that
-            # comes three times as seldom as in these flights is still read.
-            periods, period_s = count + 1.5, LINE_PERIODS * line / signal_hz
-            holds[f"{sensor}_frozen_s"] = round(max(_LEAST_FROZEN_S, periods * period_s), 3)
-            holds[f"{sensor}_reading_s"] = round(holds[f"{sensor}_frozen_s"] / periods, 3)
-    return holds
-
-
-def _news(values: NDArray[np.float64]) -> NDArray[np.intp] | None:
-    """Return the rows at which new readings appear that are held; None if the rows are on lines between readings."""
-    changes = np.flatnonzero(np.diff(values, axis=0).any(axis=1)) + 1
-    if 3 * len(changes) > 2 * len(values):
-        return None
-    # a measurement between two samples changes both of them, and on a line between two all change
-    return changes[np.diff(changes, prepend=-1) > 1]
-
-
-def _longest_same(rows: NDArray[np.float64]) -> int:
-    """Return the largest number of rows for which all values stayed the same."""
-    changes = np.flatnonzero((np.diff(rows, axis=0) != 0.0).any(axis=1))
-    return int(np.diff(np.concatenate([[-1], changes, [len(rows) - 1]])).max()) - 1 if len(rows) else 0
 
 
 def _delays(
