@@ -291,6 +291,7 @@ class ObserverChain:
         self._weighing = Weighing(
             self._faults, len(self._alarms), shown_in(profile.model, self.layout), healthy, excited
         )
+        self._thresholds = self._fault_thresholds()
         # the alarm of each fault, and behind them a place for the index -1: no alarm
         self._alarm_of = np.full(len(names) + 1, -1, np.intp)
         self._alarm_of[self._faults] = np.arange(len(self._faults))
@@ -330,6 +331,11 @@ class ObserverChain:
         """Apply other sizes and times of alarms from the next sample on, by channel and key."""
         for alarm in self._alarms:
             alarm.set_rule(retuned(alarm.rule, rules.get(alarm.rule.channel, {})))
+        self._thresholds = self._fault_thresholds()
+
+    def _fault_thresholds(self) -> NDArray[np.float64]:
+        """Return the thresholds of the faults that have an alarm, in the order of the alarms."""
+        return np.array([alarm.rule.threshold for alarm in self._alarms[: len(self._faults)]])
 
     @property
     def still(self) -> Mapping[str, int]:
@@ -459,8 +465,7 @@ class ObserverChain:
         for index, effect in effects.items():
             sizes[:, index] = shown.isolated[:, index] = effect.size
             shown.full[:, index] = 1.0
-        thresholds = [alarm.rule.threshold for alarm in self._alarms[: len(self._faults)]]
-        healthy = armed & (np.abs(shown.isolated[:, self._columns]) < thresholds).all(axis=1)
+        healthy = armed & (np.abs(shown.isolated[:, self._columns]) < self._thresholds).all(axis=1)
         larger = self._uncertainty.of_flight(noise, found.fault, found.level, healthy)
         sd, shown_sd = noise * larger, shown.sd * larger
         for index, effect in effects.items():
