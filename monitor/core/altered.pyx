@@ -86,6 +86,7 @@ cdef double CHANCE = 0.15
 cdef int ACTED_NOT = 2
 cdef double NATS = 10.0
 
+
 cdef class Stands:
     """The newest outputs of a message, and since when each repeats.
 

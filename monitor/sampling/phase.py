@@ -208,7 +208,7 @@ class FlightPhase:
         self._low_ns: int | None = None
         self._moves_ns: int | None = None  # since when all fixes have shown that it moves; None if it does not
         self._away_ns: int | None = None  # when it was last reported to be at another height
-        # when it reported for the first time that it flies, at the height of its home; None once it has left that
+        # when its report changed from the ground to the air at the height of its home; None once it has left that
         self._rolls_ns: int | None = None
 
     @property

@@ -59,6 +59,7 @@ FIX_S = 0.2
 """Time between comparisons of the navigation with the GPS, seconds. Receivers give 5 to 10 fixes a second."""
 
 _MAY_BE_ZERO = ("delay_s", "hold_s", "frozen_s", "reading_s", "_level", "_noise", "_walk", "x_s", "y_s", "z_s")
+"""Ends of the names of parameters that may be zero, which is no delay, no noise, or a rule that is not applied."""
 DEFAULTS = {
     "gps": 1.0,
     "barometer": 1.0,
