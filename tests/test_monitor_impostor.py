@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -333,21 +333,42 @@ def test_the_alarm_clears_when_the_forgeries_end(quad_profile: Profile, square: 
     ]
 
 
-def test_what_was_learned_of_a_replayed_stretch_accuses_no_sensor_after_it(whole: list[Message]) -> None:
-    start_ns, length_ns, earlier_ns = whole[0].received_ns + 24_000_000_000, 8_000_000_000, 12_000_000_000
-    recorded: dict[str, list[Message]] = {"HIGHRES_IMU": [], "ATTITUDE": [], "GPS_RAW_INT": []}
+def replayed(
+    messages: list[Message], names: Sequence[str], start_s: float, length_s: float
+) -> tuple[list[Message], int]:
+    """Return messages of which some have the values of 12 s earlier for a while, and when that ends."""
+    start_ns, earlier_ns = messages[0].received_ns + round(start_s * 1e9), 12_000_000_000
+    end_ns = start_ns + round(length_s * 1e9)
+    recorded: dict[str, list[Message]] = {name: [] for name in names}
     attacked = []
-    for message in whole:
+    for message in messages:
         sent = message
         if message.name in recorded:
             recorded[message.name].append(message)
-            if start_ns <= message.received_ns < start_ns + length_ns:
+            if start_ns <= message.received_ns < end_ns:
                 past = [one for one in recorded[message.name] if one.received_ns <= message.received_ns - earlier_ns]
                 stamps = {name: message.fields[name] for name in STAMPS if name in message.fields}
                 sent = replace(message, fields={**past[-1].fields, **stamps})
         attacked.append(sent)
+    return attacked, end_ns
+
+
+def test_what_was_learned_of_a_replayed_stretch_accuses_no_sensor_after_it(whole: list[Message]) -> None:
+    attacked, _ = replayed(whole, ("HIGHRES_IMU", "ATTITUDE", "GPS_RAW_INT"), 24.0, 8.0)
     events = events_of(read_profile(QUAD), attacked)
     [ended] = [event for event in events if event.channel == "impostor" and event.state == "cleared"]
     assert whole[-1].received_ns - ended.time_ns > 8_000_000_000
     # the motors, which were not watched meanwhile, are again
     assert {event.channel for event in events if event.time_ns > ended.time_ns} <= {"blind"}
+
+
+@pytest.mark.parametrize("length_s", [8.0, 12.0])
+def test_rates_that_are_replayed_follow_the_commands_as_soon_as_the_recording_has_ended(
+    whole: list[Message], length_s: float
+) -> None:
+    attacked, end_ns = replayed(whole, ("ATTITUDE",), 24.0, length_s)
+    events = [event for event in events_of(read_profile(QUAD), attacked) if event.channel in ("impostor", "blind")]
+    assert any("commands" in event.message for event in events)
+    assert not any(event.state == "raised" for event in events if event.time_ns > end_ns)
+    assert {event.channel for event in events if event.state == "cleared"} == {event.channel for event in events}
+    assert max(event.time_ns for event in events) - end_ns < 1_000_000_000

@@ -66,4 +66,5 @@ cdef class Response:
 
     cdef bint take(self, const double* vector, bint is_usable) noexcept
     cdef bint judge(self) noexcept
+    cdef void forget(self) noexcept
     cdef void begin(self) noexcept

@@ -360,6 +360,12 @@ cdef class Response:
         self.begin()
         return self._not >= ACTED_NOT and self._nats >= NATS
 
+    cdef void forget(self) noexcept:
+        """Forget the windows since there is evidence: another cause of it has ended."""
+        self._nats, self._not = 0.0, 0
+        self._since[:, :] = 0.0
+        self.begin()
+
     cdef void begin(self) noexcept:
         """Begin another window."""
         self._squares[:, :] = 0.0

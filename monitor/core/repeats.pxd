@@ -14,7 +14,7 @@ cdef class Repeats:
     # rows in succession that are new, while the rows before were told to be of a recording
     cdef int _new
     cdef bint _told
-    # when the first row of the present run came
+    # when the first row of the recording, or of the present run, came
     cdef readonly long long since
 
     cdef bint take(self, long long received, const double* row) noexcept

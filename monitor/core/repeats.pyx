@@ -57,7 +57,7 @@ cdef class Repeats:
             self._run = self._hashes[self._place] == found
         if self._run and received - self._received[self._place] < APART:
             self._run = 0
-        if self._run == 1:
+        if self._run == 1 and not self._told:
             self.since = received
         i = self._count % KEPT
         self._received[i] = received

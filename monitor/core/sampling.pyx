@@ -1192,8 +1192,9 @@ cdef class SamplerCore:
     cdef Response _response
     cdef object _commands
     cdef bint _unanswered
-    # Number of windows in which they did, when they were last found not to; -1: they follow.
+    # Number of windows in which they did, when they were last found not to; -1: they follow. When they were first.
     cdef int _acted
+    cdef nanoseconds _found_unanswered
 
     def __init__(self, inputs, outputs, rate_hz, VehicleClock clock not None, max_gap_s=MAX_GAP_S,
                  fitted_hz=MappingProxyType({}), bint restless=False, bint idles=False):
@@ -1296,6 +1297,11 @@ cdef class SamplerCore:
             clock.repeated_ns = stream.before.since
         elif stream.before is not None and stream.before.ends(received):
             clock.withdraw(stream.channel.message, "before", received)
+            if self._acted >= 0 and self._found_unanswered >= stream.before.since:
+                # The rates that did not follow were the recording's.
+                clock.withdraw(self._commands, "response", received)
+                self._response.forget()
+                self._acted = -1
         if clockless and stream.channel.clock is None and clock.newest_ns > 0:
             stamp = clock.newest_ns
             for lane in stream.lanes:
@@ -1329,7 +1335,8 @@ cdef class SamplerCore:
             self.store(stream, stamp, row)
             self.give_out()
             if self._unanswered:
-                clock.register(self._commands, "response", received)
+                if clock.register(self._commands, "response", received):
+                    self._found_unanswered = received
                 self._unanswered, self._acted = False, self._response._acted
             elif 0 <= self._acted < self._response._acted:
                 clock.withdraw(self._commands, "response", received)
