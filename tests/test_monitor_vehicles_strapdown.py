@@ -201,6 +201,19 @@ def test_accelerations_that_come_seldom_give_a_missing_gps_no_height_beside_a_ba
     assert abs(gps - baro).max() < 0.2
 
 
+@pytest.mark.parametrize("jump", [0.0, 12.0])
+def test_without_an_imu_a_gap_hides_the_way_between_two_velocities_and_no_jump(jump: float) -> None:
+    """The level vehicle's speed changes by 5.7 m/s within the 2 s without the GPS, its way by 6 m."""
+    raw = truth.signals(8.0)
+    raw[:, : len(IMU)] = [0.0, 0.0, -9.80665, *[0.0] * 6]
+    raw[600:, 9] += jump / truth.metres_per_degree(truth.HOME[0])[0]
+    samples = raw_samples(raw, 0)
+    samples.lost[400:600, len(IMU) : BARO] = True
+    transform = Strapdown({}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    off = disagreement(transform, rows(transform.run(samples).samples))
+    assert off["gps_north"] == pytest.approx(jump, abs=0.5)
+
+
 def over_gaps(raw: np.ndarray, gaps: np.ndarray, ticks: int) -> Samples:
     """Return raw signals whose IMU and attitude lie on straight lines over so many ticks each."""
     samples = raw_samples(raw.copy(), 0)

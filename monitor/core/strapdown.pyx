@@ -279,7 +279,7 @@ cdef class StrapdownCore:
     cdef bint[_GROUPS] _lacked
     # Whether it has been missing since the beginning, so that its offset is not known.
     cdef bint[_GROUPS] _unknown
-    # Whether gyro or accelerometer were missing while the GPS was.
+    # Whether nothing told the acceleration while the GPS was missing.
     cdef bint _blind
     cdef int[_GROUPS] _lacking
     # Mean of :attr:`_hidden` over the memory of the velocity.
@@ -988,7 +988,7 @@ cdef class StrapdownCore:
             y[i] = y[i] + self._added[i]
         if self._gps or self._baro:
             self.sink(lacks, y, &meant[speed + 2 * self._gps])
-        if lacks[_IMU] and lacks[_GPS]:
+        if lacks[_GPS] and (lacks[_IMU] or self._navigation is None):
             self._blind = True
         if lacks[_IMU] and moves and not lacks[_GPS]:
             for i in range(2):
