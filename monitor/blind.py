@@ -366,13 +366,12 @@ class BlindAlarm:
                 return []
             return [self._clear(active, now_ns, vehicle_ns, _AGAIN if flying else "the vehicle is no longer in flight")]
         late = [flow for flow in needed if lacks[flow.name]]
-        if active is not None and all(flow.settles(now_ns, contested) for flow in late):
+        if all(flow.settles(now_ns, contested) for flow in late):
             for flow in late:
                 flow.grant()
             longest_s = max(flow.settle_ns for flow in late) / 1e9
-            return [
-                self._clear(active, now_ns, vehicle_ns, f"{_AGAIN}, as soon as estimates settle ({longest_s:.2g} s)")
-            ]
+            text = f"{_AGAIN}, as soon as estimates settle ({longest_s:.2g} s)"
+            return [] if active is None else [self._clear(active, now_ns, vehicle_ns, text)]
         texts = [
             f"{flow.name}: {why} for {flow.limit_ns / 1e9:.2g} s" for flow in needed for why, _ in lacks[flow.name]
         ]

@@ -97,6 +97,17 @@ def test_measurements_that_froze_and_go_on_clear_within_two_seconds(
     assert 20.0 <= (cleared.time_ns - flight[0].received_ns) / 1e9 <= 22.0
 
 
+def test_estimates_that_begin_anew_just_before_the_limit_are_awaited(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    measured = ["ATTITUDE", "HIGHRES_IMU", "GPS_RAW_INT"]
+    gap = without(flight, measured, 15.0, 17.5)
+    assert blind_of(quad_profile, gap) == []
+    raised, *_ = blind_of(quad_profile, without(gap, measured, 17.6))
+    assert raised.state == "raised"
+    assert raised.time_ns - flight[0].received_ns < 26_000_000_000
+
+
 def test_a_vehicle_whose_estimates_settle_in_vain_is_blind_again_until_there_is_evidence(
     quad_profile: Profile, flight: list[Message]
 ) -> None:
