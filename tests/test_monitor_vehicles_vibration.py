@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from simulated_chain import GATE, Fault, flight, profile_of, request
+from test_monitor_excuse import event, excused, watched
 
 from adapters.batch import of_names
 from adapters.errors import ModelError, TelemetryError
 from adapters.logs.recordings import packed
+from monitor.alarms.excuse import Excuses
 from monitor.fitting.fitted import Fitted
 from monitor.profile import Profile
 from monitor.vehicles.multirotor.vibration import VibrationInputs, fit_vibration
@@ -38,6 +40,7 @@ def test_a_propeller_out_of_balance_is_an_alarm_within_seconds(profile: Profile)
     assert raised.message.startswith("vibration is ")
     assert raised.message.endswith(" times the level expected in this flight")
     assert raised.display.endswith(" times")
+    assert 0.0 < cleared.vehicle_time_ms / 1000 - 5.0 - 20.0 < 2.0
 
 
 def test_clipped_samples_are_an_alarm_and_a_counter_that_begins_anew_is_none(profile: Profile) -> None:
@@ -58,6 +61,15 @@ def test_clipped_samples_are_an_alarm_and_a_counter_that_begins_anew_is_none(pro
     assert raised.message.startswith("accelerometers are at the end of their range ")
     assert raised.message.endswith(" samples/s: larger values are lost")
     assert cleared.vehicle_time_ms < 32_000
+
+
+def test_what_shaken_accelerometers_measure_is_no_alarm_beside_the_vibration(fitted: Fitted) -> None:
+    excuses = Excuses(fitted.excuses)
+    shaken, height = watched(excuses, "accel_z"), watched(excuses, "baro")
+    excuses.follow(event("clipping", "raised", 1.0))
+    assert (excused(shaken, 9.0), excused(height, 9.0)) == (True, False)
+    excuses.follow(event("clipping", "cleared", 10.0))
+    assert (excused(shaken, 29.0), excused(shaken, 31.0)) == (True, False)
 
 
 def test_a_healthy_flight_raises_nothing(profile: Profile, fitted: Fitted) -> None:

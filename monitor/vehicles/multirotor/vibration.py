@@ -21,6 +21,7 @@ from adapters.errors import ModelError, TelemetryError
 from adapters.sample import Given, Samples
 from gains.synthesis.convex import design_convex
 from monitor.alarms.alarm import CLIPS, LOG_TIMES
+from monitor.alarms.excuse import ExcuseRule
 from monitor.core.lagged import LaggedMeans
 from monitor.fitting.expectation import Expectation, check_length, fit_expectations
 from monitor.fitting.fitted import FitRequest, Fitted
@@ -67,7 +68,16 @@ _CLIPPED, _CRITICALLY = 10.0, 100.0
 that IMUs take, each a loss of a sample of 16 g and more; healthy flights have none, a stone or a hard landing causes
 some at once."""
 _TIMES = Times(fast_s=1.0, raise_s=2.0, slow_s=10.0, clear_s=2.0)
-"""Times of the alarms. Chosen: a touchdown or a gust is over within a second."""
+"""Times of the alarms. Chosen: a touchdown or a gust is over within a second; samples are clipped in bursts."""
+_CLEAR_S = 1.0
+"""How long a level has to be low again. Chosen: ArduPilot's falls to an eleventh in 0.4 s after the end of a vibration
+(in its simulator), so that the alarm clears within two seconds."""
+_MISMEASURED = ("accel_x", "accel_y", "accel_z", "motion_north", "motion_east")
+"""Channels that compare accelerations with other sensors: vibration beyond the range or the bandwidth of an
+accelerometer leaves a mean."""
+_EXCUSED_S = 20.0
+"""How long these show it afterwards: twice the time constant with which velocities forget
+(:mod:`monitor.vehicles.inertial.fit`)."""
 _FAULT_RATE = 0.5
 """Rate at which vibration may grow, logarithms per second. Chosen: a crack doubles it in some seconds."""
 
@@ -181,10 +191,12 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
     alarm, clipping = fitted.alarms
     # A slow mean would raise from half the size, which for a logarithm is a factor of 1.7: a storm shakes a vehicle as
     # much.
-    alarm = replace(alarm, rule=replace(alarm.rule, slow=max(alarm.rule.slow, alarm.rule.threshold)))
+    rule = replace(alarm.rule, slow=max(alarm.rule.slow, alarm.rule.threshold), clear_s=_CLEAR_S)
+    alarm = replace(alarm, rule=rule)
     return replace(
         fitted,
         alarms=(alarm, clipping),
+        excuses=(ExcuseRule(_MISMEASURED, (OBSERVER, CLIPPING), _EXCUSED_S, precedes=True),),
         findings={"rate_hz": rate_hz, "left": left},
         lines=(
             f"levels {rate_hz:g} times a second, within a factor of {math.exp(left):.2f} of the level expected "
