@@ -371,6 +371,10 @@ cdef class Choice:
         if following >= 0:
             self.unexplained = 0.0
             following = self.with_second(following)
+            if more >= 0 and self.faults(following) == 2:
+                # Which single actuator it would be is not asked where two losses explain the data far better.
+                apart = self.mean_J[more] - self.mean_J[following]
+                self.open = self.open and not (apart > self.penalty or self.lasts(following, more, self.penalty))
             if not self.stays(following, limit):
                 if self.faults(following) != self.faults(self.believed):
                     # The means belong to hypotheses with another number of faults: begin them anew.
