@@ -190,9 +190,10 @@ def test_commands_of_10_hz_that_the_rates_do_not_follow_are_an_impostors(
     [
         lambda s: {"servo1_raw": 1950} if s >= 0.0 else {},
         lambda s: {"servo1_raw": 1150} if s >= 0.0 or -4.0 < s < -2.0 else {"servo2_raw": 1140} if s < -7.0 else {},
+        lambda s: {"servo1_raw": 1150} if s >= 0.0 else {"servo2_raw": 1140} if s < -7.0 else {},
         lambda s: {"servo1_raw": 1590} if 0.0 <= s % 4.0 < 2.5 else {},
     ],
-    ids=["largest", "limit_of_before", "briefly"],
+    ids=["largest", "limit_of_before", "least_after_idle", "briefly"],
 )
 def test_outputs_at_a_limit_are_no_impostors(
     bundled_quad: Profile, calm_flight: list[Message], values: Callable[[float], dict[str, int]]

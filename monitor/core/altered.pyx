@@ -2,8 +2,8 @@
 """Finds messages that were altered on their way: outputs that repeat while others change, stamps of another pace.
 
 Outputs. In flight all motors respond to the same gusts. So an output that repeats to the bit while others of its
-message change was altered, or is at a limit: the smallest or the largest output of the flight, a value at which an
-output has stayed before, or the value that replaces a stopped motor's.
+message change was altered, or is at a limit: the largest output of the flight, the smallest that one fell to, a value
+at which an output has stayed before, or the value that replaces a stopped motor's.
 
 Stamps. A message has a period in its stamps, and a pace: how fast stamps go on in the receiver's time. A link that
 holds messages back or catches up, and a simulation at another speed, change the pace but not the period. Another rate
@@ -111,7 +111,10 @@ cdef class Stands:
                 self._stops[i] = INFINITY
         for i in range(self._width):
             moves += row[i] != self._values[i]
-            self._low, self._high = min(self._low, row[i]), max(self._high, row[i])
+            # At take-off outputs rise from an idle below the least in flight.
+            if row[i] < self._values[i]:
+                self._low = min(self._low, row[i])
+            self._high = max(self._high, row[i])
         for i in range(self._width):
             if not flies or not self._flies or row[i] != self._values[i]:
                 if self._moved[i] and not self.is_limit(i, self._values[i]):
