@@ -225,6 +225,8 @@ def expected_channels(entry: Mapping[str, Any], vehicle: str, note: str = "") ->
     words = _words(entry)
     if re.match("actuator|motor|servo|engine|esc|thrust|surface", kind):
         return frozenset(_actuators(entry, vehicle, note))
+    if kind == "gps_loss":
+        return frozenset({"blind"})
     if kind.startswith(("gps", "gnss")):
         directions = {**_COMPASS_POINTS, **_HEIGHTS}
         axes = {directions[word][0] for word in words if word in directions} or {"north", "east", "down"}

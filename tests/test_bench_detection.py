@@ -49,6 +49,7 @@ def described(name: str = "copter_motor3_090", log: Path = Path("none.tlog"), **
         ("copter", {"kind": "actuator_effectiveness_ramp", "target": "motor/servo [1, 4]"}, {"motor1", "motor4"}),
         ("copter", {"kind": "gps_offset_step", "magnitude": "25 m north"}, {"gps_north", "gps_velocity_north"}),
         ("copter", {"kind": "gps_offset_ramp", "magnitude": "1 m/s west"}, {"gps_east", "gps_velocity_east"}),
+        ("copter", {"kind": "gps_loss", "magnitude": "no GPS"}, {"blind"}),
         ("copter", {"kind": "baro_step", "magnitude": "+8 m, both barometers"}, {"baro"}),
         ("copter", {"kind": "gyro_bias", "magnitude": "0.08 rad/s roll axis, IMU1 only"}, {"gyro_x"}),
         ("copter", {"kind": "gyro_bias", "magnitude": "0.1 rad/s"}, {"gyro_x", "gyro_y", "gyro_z"}),
