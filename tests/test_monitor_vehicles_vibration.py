@@ -72,6 +72,16 @@ def test_what_shaken_accelerometers_measure_is_no_alarm_beside_the_vibration(fit
     assert (excused(shaken, 29.0), excused(shaken, 31.0)) == (True, False)
 
 
+def test_vibration_that_clips_is_one_alarm(fitted: Fitted) -> None:
+    excuses = Excuses(fitted.excuses)
+    clipping = watched(excuses, "clipping")
+    excuses.follow(event("clipping", "raised", 1.0))
+    excuses.follow(event("clipping", "cleared", 2.0))
+    assert not excused(clipping, 3.0)
+    excuses.follow(event("vibration", "raised", 4.0))
+    assert excused(clipping, 9.0)
+
+
 def test_a_healthy_flight_raises_nothing(profile: Profile, fitted: Fitted) -> None:
     assert not play(profile, flight(11, 60.0, esc_hz=1.0)).events
     assert fitted.findings["left"] == pytest.approx(0.12, abs=0.08)

@@ -196,7 +196,11 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
     return replace(
         fitted,
         alarms=(alarm, clipping),
-        excuses=(ExcuseRule(_MISMEASURED, (OBSERVER, CLIPPING), _EXCUSED_S, precedes=True),),
+        excuses=(
+            ExcuseRule(_MISMEASURED, (OBSERVER, CLIPPING), _EXCUSED_S, precedes=True),
+            # Bursts beyond the range of an accelerometer are part of the vibration.
+            ExcuseRule((CLIPPING,), (OBSERVER,), times.clear_s, precedes=True),
+        ),
         findings={"rate_hz": rate_hz, "left": left},
         lines=(
             f"levels {rate_hz:g} times a second, within a factor of {math.exp(left):.2f} of the level expected "
