@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import functools
 import importlib
 import os
 import sys
@@ -193,8 +194,9 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
+@functools.cache
 def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of all commands."""
+    """Return the parser of all commands; who runs several in one process waits for it once."""
     parser = _Parser(prog="fauio", usage="fauio [-h] [--version] COMMAND ...", description=_DESCRIPTION)
     parser.add_argument(
         "--version", action=_PrintVersions, nargs=0, help="print the versions of fauio, Python and libraries, and exit"
