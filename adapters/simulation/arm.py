@@ -222,31 +222,38 @@ def _integrate(
     """Return the state at ``end_s``; the signals in ``f_a`` act during the whole step."""
     steps = max(1, math.ceil((end_s - start_s) / MAX_STEP_S - 1e-9))
     h = (end_s - start_s) / steps
-    half, (x_1, x_2, x_3, x_4) = 0.5 * h, state
+    half, sin, (x_1, x_2, x_3, x_4) = 0.5 * h, math.sin, state
+    push_1 = push_2 = push_3 = _TORQUE * u
+    w_1 = w_2 = w_3 = 0.0
     for step in range(steps):
         now = start_s + step * h
         times = now, now + half, now + h
-        torque_1, torque_2, torque_3 = [u + sum([signal(s) for signal in f_a]) for s in times] if f_a else (u, u, u)
-        w_1, w_2, w_3 = [0.2 * math.sin(10.0 * s) for s in times] if disturbed else (0.0, 0.0, 0.0)
-        a_2, a_4 = _accelerations(x_1, x_2, x_3, torque_1, w_1)
+        if f_a:
+            push_1, push_2, push_3 = [_TORQUE * (u + sum([signal(s) for signal in f_a])) for s in times]
+        if disturbed:
+            w_1, w_2, w_3 = [0.2 * sin(10.0 * s) for s in times]
+        # Runge and Kutta's four slopes of A x + B (u + f_a) + G sin(x_3) + E_1 w_1, written out: a call of each takes
+        # half as long again
+        twist = x_1 - x_3
+        a_2 = -_STIFF_MOTOR * twist - _DAMPING * x_2 + push_1
+        a_4 = _STIFF_LINK * twist - _GRAVITY * sin(x_3) + w_1
         p_1, p_2, p_3, p_4 = x_1 + half * x_2, x_2 + half * a_2, x_3 + half * x_4, x_4 + half * a_4
-        b_2, b_4 = _accelerations(p_1, p_2, p_3, torque_2, w_2)
+        twist = p_1 - p_3
+        b_2 = -_STIFF_MOTOR * twist - _DAMPING * p_2 + push_2
+        b_4 = _STIFF_LINK * twist - _GRAVITY * sin(p_3) + w_2
         q_1, q_2, q_3, q_4 = x_1 + half * p_2, x_2 + half * b_2, x_3 + half * p_4, x_4 + half * b_4
-        c_2, c_4 = _accelerations(q_1, q_2, q_3, torque_2, w_2)
+        twist = q_1 - q_3
+        c_2 = -_STIFF_MOTOR * twist - _DAMPING * q_2 + push_2
+        c_4 = _STIFF_LINK * twist - _GRAVITY * sin(q_3) + w_2
         r_1, r_2, r_3, r_4 = x_1 + h * q_2, x_2 + h * c_2, x_3 + h * q_4, x_4 + h * c_4
-        d_2, d_4 = _accelerations(r_1, r_2, r_3, torque_3, w_3)
+        twist = r_1 - r_3
+        d_2 = -_STIFF_MOTOR * twist - _DAMPING * r_2 + push_3
+        d_4 = _STIFF_LINK * twist - _GRAVITY * sin(r_3) + w_3
         x_1 += h * ((x_2 + 2.0 * (p_2 + q_2) + r_2) / 6.0)
         x_2 += h * ((a_2 + 2.0 * (b_2 + c_2) + d_2) / 6.0)
         x_3 += h * ((x_4 + 2.0 * (p_4 + q_4) + r_4) / 6.0)
         x_4 += h * ((a_4 + 2.0 * (b_4 + c_4) + d_4) / 6.0)
     return x_1, x_2, x_3, x_4
-
-
-def _accelerations(x_1: float, x_2: float, x_3: float, torque: float, w_1: float) -> tuple[float, float]:
-    """Return the derivatives of x_2 and x_4 in A x + B (u + f_a) + G sin(x_3) + E_1 w_1; the others are states."""
-    twist = x_1 - x_3
-    motor = -_STIFF_MOTOR * twist - _DAMPING * x_2 + _TORQUE * torque
-    return motor, _STIFF_LINK * twist - _GRAVITY * math.sin(x_3) + w_1
 
 
 def _start(torque: Torque) -> tuple[ArmState, ArmSignal]:
