@@ -53,6 +53,7 @@ The rules themselves, row after row, are :class:`monitor.core.bank.Choice`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from math import nan
 from typing import NamedTuple
 
@@ -164,10 +165,10 @@ class Bank:
         compared = ~np.array(rule.edges)
         spans = np.concatenate([[0], np.cumsum(sizes)])
         members = np.array([[name in hypothesis.faults for name in faults] for hypothesis in hypotheses])
-        p, fewest = len(rule.covariances[0]), smallest(rule.hypotheses)
+        p, (white, lasting) = len(rule.covariances[0]), _whitenings(rule)
         self._choice = Choice(
-            whitening=whitening(rule.covariances, fewest),
-            lasting=whitening(rule.lasting or rule.covariances, fewest),
+            whitening=white,
+            lasting=lasting,
             spans=spans,
             channel=[faults.index(name) for hypothesis in hypotheses for name in hypothesis.faults],
             shown=[
@@ -255,6 +256,14 @@ def smallest(hypotheses: Sequence[Sequence[str]]) -> NDArray[np.bool_]:
     """Return which hypotheses contain no other one (K,)."""
     sets = [set(faults) for faults in hypotheses]
     return np.array([not any(other < faults for other in sets) for faults in sets])
+
+
+# Shared as the settling time of gains: vehicles, and the trials of a fit, have the rules of one profile.
+@lru_cache(maxsize=64)
+def _whitenings(rule: BankRule) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return W_k of the residuals under each hypothesis, and of those that last."""
+    fewest = smallest(rule.hypotheses)
+    return whitening(rule.covariances, fewest), whitening(rule.lasting or rule.covariances, fewest)
 
 
 def whitening(

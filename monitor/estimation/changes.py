@@ -34,6 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -145,7 +146,15 @@ class ChangeStage:
             "actuators": [source for source in sources if source is not None],
         }
         if added:
-            self._depth, self._test = _additions_test(plant, rate_hz, rule, named, judged, common)
+            self._depth, additions = _additions(plant, rate_hz, rule, tuple(named), tuple(judged))
+            self._test = ChangeTest(
+                **additions._asdict(),
+                curves=np.ones((self._depth * len(plant.inputs), 1)),
+                taps=np.ones(1),
+                driven=True,
+                largest=np.inf,
+                **common,
+            )
         else:
             self._depth, self._test = 1, _actuators_test(plant, rule, len(named), judged, common)
         self._rate_hz, self.adds, self._partly = rate_hz, bool(added), bool(rule.lasts_s)
@@ -231,15 +240,22 @@ def _actuators_test(
     )
 
 
-def _additions_test(
-    plant: Plant,
-    rate_hz: float,
-    rule: ChangeRule,
-    named: Sequence[str],
-    judged: Sequence[int],
-    common: Mapping[str, Any],
-) -> tuple[int, ChangeTest]:
-    """Return the number of samples from which outputs are predicted, and the test of faults that add to the outputs."""
+class _Additions(NamedTuple):
+    """What the test of faults that add to the outputs has from plant and rule alone, as :class:`ChangeTest` says."""
+
+    dynamics: FloatArray
+    additions: FloatArray  # (D, S, p)
+    grown: FloatArray  # (D, S)
+    owner: list[int]
+    sudden: list[bool]
+
+
+# Shared as the settling time of gains: vehicles, and the trials of a fit, have the plants and rules of one profile.
+@lru_cache(maxsize=64)
+def _additions(
+    plant: Plant, rate_hz: float, rule: ChangeRule, named: tuple[str, ...], judged: tuple[int, ...]
+) -> tuple[int, _Additions]:
+    """Return the number of samples from which outputs are predicted, and the model of their test."""
     blocks = [predictor(plant, output) for output in judged]
     n, depth = len(plant.outputs), max(len(block.y) for block in blocks)
     dynamics = np.zeros((len(judged), depth * (n + len(plant.inputs)) + 1))
@@ -268,20 +284,8 @@ def _additions_test(
             grown.append(np.ones(len(rows)))
             owner.append(len(order))
             sudden.append(bool(there.all()))
-    additions = _unpredicted(np.stack(shown, axis=1), dynamics[:, : depth * n], judged)
-    test = ChangeTest(
-        dynamics=dynamics,
-        curves=np.ones((depth * len(plant.inputs), 1)),
-        taps=np.ones(1),
-        additions=_whitened(additions, rule.whitening),
-        grown=np.stack(grown, axis=1),
-        owner=owner,
-        sudden=sudden,
-        driven=True,
-        largest=np.inf,
-        **common,
-    )
-    return depth, test
+    added = _unpredicted(np.stack(shown, axis=1), dynamics[:, : depth * n], judged)
+    return depth, _Additions(dynamics, _whitened(added, rule.whitening), np.stack(grown, axis=1), owner, sudden)
 
 
 def _courses(rule: ChangeRule, fault: str, rows: FloatArray, rate_hz: float) -> list[tuple[FloatArray, bool]]:
