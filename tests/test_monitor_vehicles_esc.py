@@ -58,7 +58,7 @@ def slow(tmp_path_factory: pytest.TempPathFactory) -> Profile:
 
 
 def raised(profile: Profile, fault: Fault) -> list[AlarmEvent]:
-    events = play(profile, flight(9, 45.0, fault, order=ORDER, sag_v=1.0)).events
+    events = play(profile, flight(9, 34.0, fault, order=ORDER, sag_v=1.0)).events
     return [event for event in events if event.state == "raised"]
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from daemons import DaemonProcess, free_ports
 from loopback import publisher, until
-from ros_robot import FIX, IMU, ODOMETRY, TYPES, bag, robot
+from ros_robot import FIX, IMU, ODOMETRY, TYPES, Rows, bag, robot
 
 import fauio
 from adapters.channels import Channel, channel_table, parse_channel
@@ -29,41 +31,54 @@ LINK = {"telemetry"}
 """What becomes of a robot that falls silent."""
 
 
+class Runs:
+    """A folder with bags of healthy runs and of two faults, and with profiles, each made when it is first asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._topics = cache(lambda run: RUNS[run]())
+
+    def bag(self, kind: str, run: str) -> Path:
+        """Return the bag of a run with fixes or odometry."""
+        path = self._folder / f"{kind}_{run}.mcap"
+        return path if path.exists() else bag(path, self._topics(run), IMU, {"fix": FIX, "odometry": ODOMETRY}[kind])
+
+    @property
+    def live(self) -> Path:
+        """Tuesday with fixes, as `fauio record --zenoh` writes it: JSON under names without types."""
+        path = self._folder / "live.mcap"
+        if not path.exists():
+            with MessageLogWriter(path) as writer:
+                for message in Recording(self.bag("fix", "tuesday")):
+                    writer.write(message)
+        return path
+
+    def fitted(self, kind: str) -> Path:
+        """Return the profile fitted to two healthy bags with fixes or odometry."""
+        if not (self._folder / kind).exists():
+            tuesday = self.live if kind == "fix" else self.bag(kind, "tuesday")
+            healthy = [str(path) for path in (self.bag(kind, "monday"), tuesday)]
+            assert fauio.main(["fit", "--vehicle", "inertial", *healthy, "-o", str(self._folder / kind)]) == 0
+        return self._folder / kind
+
+
+RUNS: dict[str, Callable[[], dict[str, Rows]]] = {
+    "monday": lambda: robot(50.0, 1),
+    "tuesday": lambda: robot(50.0, 2),
+    "wednesday": lambda: robot(30.0, 5),
+    "jump": lambda: robot(36.0, 3, north_m=lambda t: 5.0 * (ON_S < t < OFF_S)),
+    "gyro": lambda: robot(36.0, 4, gyro_x=lambda t: 0.1 * (ON_S < t < OFF_S)),
+}
+
+
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with bags of healthy runs and of two faults."""
-    folder = tmp_path_factory.mktemp("ros")
-    runs = {
-        "monday": robot(50.0, 1),
-        "tuesday": robot(50.0, 2),
-        "wednesday": robot(30.0, 5),
-        "jump": robot(36.0, 3, north_m=lambda t: 5.0 * (ON_S < t < OFF_S)),
-        "gyro": robot(36.0, 4, gyro_x=lambda t: 0.1 * (ON_S < t < OFF_S)),
-    }
-    for kind, topic in (("fix", FIX), ("odometry", ODOMETRY)):
-        for name, topics in runs.items():
-            if (kind, name) == ("odometry", "gyro"):  # no test asks for it
-                continue
-            bag(folder / f"{kind}_{name}.mcap", topics, IMU, topic)
-    # as `fauio record --zenoh` writes them: JSON under names without types
-    with MessageLogWriter(folder / "live.mcap") as writer:
-        for message in Recording(folder / "fix_tuesday.mcap"):
-            writer.write(message)
-    return folder
-
-
-def fitted(folder: Path, kind: str) -> Path:
-    """Return the profile fitted to a folder's healthy bags with fixes or odometry."""
-    tuesday = {"fix": "live", "odometry": "odometry_tuesday"}[kind]
-    if not (folder / kind).exists():
-        healthy = [str(folder / f"{name}.mcap") for name in (f"{kind}_monday", tuesday)]
-        assert fauio.main(["fit", "--vehicle", "inertial", *healthy, "-o", str(folder / kind)]) == 0
-    return folder / kind
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
+    return Runs(tmp_path_factory.mktemp("ros"))
 
 
 @pytest.mark.parametrize("kind", ["fix", "odometry"])
-def test_info_says_what_could_be_watched(folder: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
-    assert fauio.main(["info", str(folder / f"{kind}_monday.mcap"), "--json"]) == 0
+def test_info_says_what_could_be_watched(runs: Runs, capsys: pytest.CaptureFixture[str], kind: str) -> None:
+    assert fauio.main(["info", str(runs.bag(kind, "wednesday")), "--json"]) == 0
     vehicle = json.loads(capsys.readouterr().out)["vehicle"]
     assert (vehicle["system"], list(vehicle["fits"])) == (None, ["inertial"])
     fit = vehicle["fits"]["inertial"]
@@ -71,7 +86,7 @@ def test_info_says_what_could_be_watched(folder: Path, capsys: pytest.CaptureFix
     assert {"gyro_x", "gyro_y", "gyro_z", "gps_north", "gps_east"} <= set(fit["watches"])
     assert ("gps_velocity_north" in fit["watches"]) is (kind == "odometry")
     assert fit["channels"]["xacc"] == f"{IMU}.linear_acceleration.x"
-    assert fauio.main(["info", str(folder / f"{kind}_monday.mcap")]) == 0
+    assert fauio.main(["info", str(runs.bag(kind, "wednesday"))]) == 0
     assert "what fauio fit could make of these topics:\n    inertial at 50 Hz" in capsys.readouterr().out
 
 
@@ -85,8 +100,8 @@ def test_info_says_what_could_be_watched(folder: Path, capsys: pytest.CaptureFix
         pytest.param("odometry", "jump", "gps_north", marks=pytest.mark.long),
     ],
 )
-def test_a_bag_raises_the_alarm_of_its_fault_alone(folder: Path, kind: str, name: str, channel: str | None) -> None:
-    found = fauio.replay(fitted(folder, kind), folder / f"{kind}_{name}.mcap")
+def test_a_bag_raises_the_alarm_of_its_fault_alone(runs: Runs, kind: str, name: str, channel: str | None) -> None:
+    found = fauio.replay(runs.fitted(kind), runs.bag(kind, name))
     assert {event.channel for event in found.events} == ({channel} if channel else set())
     raised = [event for event in found.events if event.state == "raised"]
     if raised:
@@ -96,17 +111,17 @@ def test_a_bag_raises_the_alarm_of_its_fault_alone(folder: Path, kind: str, name
     assert found.watched_s > 18.0
 
 
-def test_topics_are_found_by_their_type_and_nothing_else_is_decoded(folder: Path) -> None:
-    path = folder / "odometry_monday.mcap"
+def test_topics_are_found_by_their_type_and_nothing_else_is_decoded(runs: Runs) -> None:
+    path = runs.bag("odometry", "wednesday")
     assert {message.name for message in Recording(path, ["other"], types=READ)} == {IMU, ODOMETRY}
     assert {message.name for message in Recording(path, ["other"], types=["sensor_msgs/Imu"])} == {IMU}
     assert not list(Recording(path, ["other"]))
 
 
-def test_a_recording_of_the_topics_over_zenoh_fits_too(folder: Path) -> None:
-    assert {message.name for message in Recording(folder / "live.mcap", ["other"], types=READ)} == {IMU, FIX}
-    assert read_profile(fitted(folder, "fix")).observers[0].rate_hz == 25.0
-    assert [flight.name for flight in read_kept(fitted(folder, "fix")).flights] == ["fix_monday.mcap", "live.mcap"]
+def test_a_recording_of_the_topics_over_zenoh_fits_too(runs: Runs) -> None:
+    assert {message.name for message in Recording(runs.live, ["other"], types=READ)} == {IMU, FIX}
+    assert read_profile(runs.fitted("fix")).observers[0].rate_hz == 25.0
+    assert [flight.name for flight in read_kept(runs.fitted("fix")).flights] == ["fix_monday.mcap", "live.mcap"]
 
 
 def test_an_imu_without_orientation_takes_that_of_the_odometry_or_is_refused() -> None:
@@ -165,13 +180,13 @@ def test_what_is_no_quaternion_is_no_measurement(value: object) -> None:
     assert Channel("a", "imu", ("orientation",), angle="yaw").value({"orientation": value}) is None
 
 
-def test_the_robot_is_watched_live_over_zenoh_in_cdr(folder: Path, tmp_path: Path) -> None:
+def test_the_robot_is_watched_live_over_zenoh_in_cdr(runs: Runs, tmp_path: Path) -> None:
     [tcp] = free_ports(1)
-    config, profile = tmp_path / "fauio.toml", fitted(folder, "fix")
+    config, profile = tmp_path / "fauio.toml", runs.fitted("fix")
     config.write_text(
         f'profile = "{profile}"\nvehicle = "robot"\nzenoh = "robot/**"\nlisten = ["tcp/127.0.0.1:{tcp}"]\n'
     )
-    records = list(MessageLogReader(folder / "fix_gyro.mcap").records())[:1300]
+    records = list(MessageLogReader(runs.bag("fix", "gyro")).records())[:1300]
     with DaemonProcess(config) as daemon:
         until(lambda: any(line["event"] == "monitoring" for line in daemon.log()), 0.05)
         with open_session([f"tcp/127.0.0.1:{tcp}"], ()) as session:

@@ -25,6 +25,7 @@ class UlogWriter:
         self.data = bytearray(struct.pack("<7sBQ", b"ULog\x01\x12\x35", 1, start_us))
         self.formats: dict[str, list[tuple[str, int | None, str]]] = {}
         self._padding: dict[str, int] = {}
+        self._packing: dict[str, struct.Struct] = {}
         self.ends: list[int] = []
         self._ids = 0
         self.record("B", struct.pack("<8s8s3Q", bytes(8), bytes([flags]) + bytes(7), *offsets))
@@ -47,8 +48,9 @@ class UlogWriter:
         return self._ids
 
     def add(self, number: int, name: str, values: Mapping[str, Any]) -> None:
-        codes, flat = self._flat(name, values)
-        body = struct.pack(f"<H{codes}", number, *flat)
+        if name not in self._packing:
+            self._packing[name] = struct.Struct(f"<H{self._codes(name)}")
+        body = self._packing[name].pack(number, *self._flat(name, values))
         self.record("D", body[: len(body) - self._padding[name]])
 
     def information(self, key: str, value: str) -> None:
@@ -74,22 +76,26 @@ class UlogWriter:
         path.write_bytes(self.data)
         return path
 
-    def _flat(self, name: str, values: Mapping[str, Any]) -> tuple[str, list[Any]]:
-        """Return the codes of all fields for :mod:`struct`, and their values."""
-        codes: list[str] = []
+    def _codes(self, name: str) -> str:
+        """Return the codes of all fields for :mod:`struct`."""
+        codes = []
+        for kind, count, _ in self.formats[name]:
+            one = _CODES.get(kind) or ("" if kind == "char" else self._codes(kind))
+            codes.append(f"{count or 1}s" if kind == "char" else one * (count or 1))
+        return "".join(codes)
+
+    def _flat(self, name: str, values: Mapping[str, Any]) -> list[Any]:
+        """Return the values of all fields."""
         flat: list[Any] = []
         for kind, count, field in self.formats[name]:
             value = values.get(field, 0)
             if kind == "char":
-                codes.append(f"{count or 1}s")
                 flat.append(str(value).encode())
-            elif kind in _CODES:
-                several = list(value) if count and value else [value] * (count or 1)
-                codes.append(_CODES[kind] * len(several))
-                flat += several
-            else:
+            elif kind not in _CODES:
                 for one in value if count else [value]:
-                    inner, parts = self._flat(kind, one)
-                    codes.append(inner)
-                    flat += parts
-        return "".join(codes), flat
+                    flat += self._flat(kind, one)
+            elif count:
+                flat += value or [0] * count
+            else:
+                flat.append(value)
+        return flat
