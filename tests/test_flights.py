@@ -13,14 +13,14 @@ import fauio
 from adapters.logs.recordings import read_batches, read_recording
 from gains.plants.model_file import read_model
 from monitor.profile import Profile
-from replay.player import Replay, play
+from replay.player import Replay, play_batches
 
 ONSET_S = 112.704
 FLIGHTS = {"copter_motor3_090": ("motor3", 0.10), "copter_motor2_080": ("motor2", 0.20)}
 
 
 def replayed(profile: Profile, path: Path) -> Replay:
-    return play(profile, read_recording(path), keep_traces=True)
+    return play_batches(profile, read_batches(path), keep_traces=True)
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,9 @@ def test_a_converted_log_replays_to_the_same_events(
 
 def test_a_recorded_replay_replays_to_the_same_bits(quad_profile: Profile, tmp_path: Path, data: Path) -> None:
     record = tmp_path / "out.mcap"
-    first = play(quad_profile, read_recording(data / "copter_motor3_090.tlog.xz"), record=record, keep_traces=True)
+    first = play_batches(
+        quad_profile, read_batches(data / "copter_motor3_090.tlog.xz"), record=record, keep_traces=True
+    )
     second = replayed(quad_profile, record)
     assert second.events == first.events
     for name in ("vehicle_ns", "unix_ns", "u", "y", "x", "fault", "isolated", "residual", "armed"):
@@ -160,7 +162,7 @@ def test_other_vehicles_in_a_log_do_not_enter_the_fit(data: Path) -> None:
 def test_a_sensor_that_disagrees_is_named_with_its_size_and_no_other(
     quad_profile: Profile, data: Path, name: str, channel: str, onset_s: float, within_s: float, size: float
 ) -> None:
-    found = play(quad_profile, read_recording(data / f"{name}.tlog.xz"), keep_traces=True)
+    found = play_batches(quad_profile, read_batches(data / f"{name}.tlog.xz"), keep_traces=True)
     assert {event.channel for event in found.events} == {channel}
     raised = found.events[0]
     # The first fix that is wrong is enough, and the truth is known to 20 ms.

@@ -22,7 +22,7 @@ from monitor.profile import Profile, read_profile
 from monitor.vehicles.inertial.signals import strapdown_channels
 from monitor.vehicles.kinds import fit_messages
 from monitor.vehicles.multirotor.signals import multirotor_channels
-from replay.player import Replay, interests, play
+from replay.player import Replay, interests, play_batches
 
 KINDS = (".ulg", ".bin")
 
@@ -48,7 +48,7 @@ def shipped() -> Profile:
 @cache
 def played(flight: Path) -> Replay:
     profile = shipped()
-    return play(profile, read_recording(flight, interests(profile)))
+    return play_batches(profile, read_batches(flight, interests(profile)))
 
 
 def is_px4(log: str) -> bool:
@@ -66,7 +66,7 @@ def told(found: Replay) -> list[tuple[str, str, str, int]]:
 def test_alarms_are_those_of_the_telemetry(logs: dict[str, Path], data: Path, log: str) -> None:
     profile = shipped()
     telemetry = played(data / f"copter_{log.partition('.')[0]}.tlog.xz")
-    onboard = play(profile, read_recording(logs[log], interests(profile)), force=is_px4(log))
+    onboard = play_batches(profile, read_batches(logs[log], interests(profile)), force=is_px4(log))
     assert telemetry.events
     assert told(onboard) == told(telemetry)
     assert onboard.evidence == telemetry.evidence
@@ -103,8 +103,8 @@ def test_a_converted_log_holds_every_record_typed(
 def test_a_recorded_replay_replays_to_the_same_bits(logs: dict[str, Path], tmp_path: Path, kind: str) -> None:
     profile = shipped()
     log, force = logs[f"motor2_080{kind}"], is_px4(kind)
-    first = play(profile, read_recording(log), record=tmp_path / "a.mcap", force=force)
-    again = play(profile, read_recording(tmp_path / "a.mcap"), force=force)
+    first = play_batches(profile, read_batches(log), record=tmp_path / "a.mcap", force=force)
+    again = play_batches(profile, read_batches(tmp_path / "a.mcap"), force=force)
     assert again.events == first.events
     assert again.samples == first.samples
 
@@ -165,7 +165,7 @@ def test_an_attack_on_an_onboard_log_is_seen(logs: dict[str, Path], tmp_path: Pa
     out = tmp_path / "attacked.mcap"
     order = ["--channel", "baro", "--kind", "bias", "--size", "15", "--start", "4"]
     assert fauio.main(["inject", str(logs["gps_step25m.ulg"]), *order, "-o", str(out)]) == 0
-    assert "baro" in {event.channel for event in play(shipped(), read_recording(out), force=True).events}
+    assert "baro" in {event.channel for event in play_batches(shipped(), read_batches(out), force=True).events}
 
 
 @pytest.mark.parametrize("kind", ["bin", "motors"])
@@ -193,7 +193,7 @@ def test_a_profile_fitted_on_onboard_logs_names_the_motor_in_telemetry(tmp_path:
     folder = tmp_path / "quad"
     assert fauio.main(["fit", "--vehicle", "multirotor", *map(str, healthy), "-o", str(folder)]) == 0
     # the made-up log is one of PX4, which the telemetry is not
-    found = play(read_profile(folder), read_recording(data / "copter_motor2_080.tlog.xz"), force=kind == "ulg")
+    found = play_batches(read_profile(folder), read_batches(data / "copter_motor2_080.tlog.xz"), force=kind == "ulg")
     assert {event.channel for event in found.events} == {"motor2"}
 
 

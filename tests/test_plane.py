@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import fauio
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import read_batches
 from adapters.sample import Samples
 from monitor.estimation.changes import ChangeRun, ChangeStage
 from monitor.profile import Profile, read_profile
-from replay.player import play
+from replay.player import play_batches
 
 ONSET_S, END_S = 91.199, 141.199
 
@@ -37,7 +37,7 @@ def profile(fitted: tuple[Path, str]) -> Profile:
 
 
 def test_the_aileron_and_only_it_is_named_soon_after_it_weakens(profile: Profile, data: Path) -> None:
-    found = play(profile, read_recording(data / "plane_aileron_080.tlog.xz"), keep_traces=True)
+    found = play_batches(profile, read_batches(data / "plane_aileron_080.tlog.xz"), keep_traces=True)
     assert {event.channel for event in found.events} == {"aileron"}
     raised = [event for event in found.events if event.state == "raised"]
     assert len(raised) == 1
@@ -87,13 +87,13 @@ def test_a_gyro_that_jumps_is_no_surface(profile: Profile) -> None:
 
 
 def test_its_end_clears_the_alarm(profile: Profile, data: Path) -> None:
-    found = play(profile, read_recording(data / "plane_aileron_080_end.tlog.xz")).events
+    found = play_batches(profile, read_batches(data / "plane_aileron_080_end.tlog.xz")).events
     assert [event.state for event in found if event.state != "updated"] == ["raised", "cleared"]
     assert 0.0 < found[-1].vehicle_time_ms / 1000 - END_S < 5.0
 
 
 def test_healthy_flight_raises_no_alarm(profile: Profile, data: Path) -> None:
-    found = play(profile, read_recording(data / "plane_healthy.tlog.xz"))
+    found = play_batches(profile, read_batches(data / "plane_healthy.tlog.xz"))
     assert found.events == ()
     assert found.evidence > 1000
 

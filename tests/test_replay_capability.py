@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.logs.recordings import packed, read_batches, read_recording
+from adapters.logs.recordings import packed, read_batches
 from adapters.simulation.arm import SCENARIOS, TORQUES, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from monitor.fitting.capability import Capability, Detection, capability_text
 from monitor.fitting.fitted import BatchSource
 from monitor.profile import Profile
-from replay.player import play
+from replay.player import play_batches
 from replay.sensitivity.capability import measure_capability, step_sizes
 
 LONG = pytest.mark.long
@@ -96,7 +96,7 @@ def test_small_losses_of_each_motor_are_detected_and_larger_ones_sooner(of_motor
 def test_a_real_loss_is_detected_as_soon_as_measured_beforehand(
     name: str, motor: str, loss: float, of_motor: Callable[[str], Capability], quad_profile: Profile, data: Path
 ) -> None:
-    events = play(quad_profile, read_recording(data / f"{name}.tlog.xz")).events
+    events = play_batches(quad_profile, read_batches(data / f"{name}.tlog.xz")).events
     actual = next(event.vehicle_time_ms / 1000 - ONSET_S for event in events if event.channel == motor)
     smaller = [d.worst_s for d in of_motor(motor).detections if d.worst_s is not None and d.size < loss]
     assert actual == pytest.approx(min(smaller), abs=0.1)

@@ -11,10 +11,10 @@ from conftest import plain_fits
 
 import fauio
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import read_batches, read_recording
 from monitor.event import AlarmEvent
 from monitor.profile import Profile, read_profile
-from replay.player import play
+from replay.player import play_batches
 
 ONSET_S, END_S = 102.066, 152.056
 
@@ -35,7 +35,7 @@ def profile(folder: Path) -> Profile:
 
 
 def events(profile: Profile, path: Path) -> tuple[AlarmEvent, ...]:
-    return play(profile, read_recording(path)).events
+    return play_batches(profile, read_batches(path)).events
 
 
 def test_weak_steering_is_seen_in_the_turn_it_begins_in(profile: Profile, data: Path) -> None:
@@ -58,7 +58,7 @@ def test_its_end_clears_the_alarm(profile: Profile, data: Path) -> None:
 
 @pytest.mark.parametrize("name", ["rover_healthy", "rover_healthy_manual"])
 def test_healthy_drives_raise_no_alarm(name: str, profile: Profile, data: Path) -> None:
-    found = play(profile, read_recording(data / f"{name}.tlog.xz"))
+    found = play_batches(profile, read_batches(data / f"{name}.tlog.xz"))
     assert found.events == ()
     assert found.evidence > 1000
 
