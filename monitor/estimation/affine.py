@@ -136,6 +136,9 @@ _NEGLIGIBLE = 1e-9
 _LONGEST_S = 60.0
 """Longest wait, seconds. Chosen: a longer wait would leave little of a flight to watch."""
 
+_BLOCK = 64
+"""Steps that are computed at once. Measured on the arm at 250 Hz: 3 ms with 64 to 256, 6.6 with 16, 70 with one."""
+
 
 # Shared as the results of :func:`stack_layout`; each bank has several gains.
 @functools.lru_cache(maxsize=64)
@@ -159,11 +162,14 @@ def settling_s(gains: Gains) -> float:
     M_ss, M_fs = gains.step_matrix[:ns, :ns], gains.step_matrix[ns + n : ns + n + a, :ns]
     d = np.zeros((ns, len(unseen)))
     d[: len(_into(gains))] = _into(gains) @ unseen.T
-    errors = []
-    for _ in range(round(_LONGEST_S * gains.rate_hz)):
-        errors.append(np.abs(M_fs @ d).max(axis=1))
-        d = M_ss @ d
-    series = np.stack(errors)
+    steps, rows = round(_LONGEST_S * gains.rate_hz), [M_fs]
+    for _ in range(_BLOCK - 1):
+        rows.append(rows[-1] @ M_ss)
+    seen, leap, errors = np.stack(rows), np.linalg.matrix_power(M_ss, _BLOCK), []
+    for _ in range(0, steps, _BLOCK):
+        errors.append(np.abs(seen @ d).max(axis=2))
+        d = leap @ d
+    series = np.concatenate(errors)[:steps]
     largest = series.max(axis=0)
     off = np.any((series > _FORGOTTEN * largest) & (largest > _NEGLIGIBLE), axis=1)
     return float(np.flatnonzero(off)[-1] + 1) / gains.rate_hz if off.any() else 0.0
