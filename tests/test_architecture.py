@@ -162,6 +162,7 @@ read_profile("replay/data/quad")
     ("code", "heavy"),
     [
         ("import fauio; fauio.build_parser()", HEAVY),
+        ("import monitor.bus.subscriber, monitor.bus.status_watch, monitor.console.operator_client", {"numpy"}),
         (MONITOR, {"scipy", "cvxpy", "prometheus_client", "monitor.fitting", "gains.identification"}),
     ],
 )

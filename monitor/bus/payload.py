@@ -7,12 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from numpy.typing import NDArray
-
-from monitor.estimate import Estimates, Layout
-
 if TYPE_CHECKING:
     import zenoh
+    from numpy.typing import NDArray
+
+    from monitor.estimate import Estimates, Layout
 
 MAX_PAYLOAD_BYTES = 1 << 24
 """Most bytes of a payload. Chosen: the history of 4096 events, the largest answer, has some megabytes."""
