@@ -396,6 +396,19 @@ def test_a_magnetic_field_that_comes_seldom_is_followed_by_the_gyro_until_it_is_
         assert disagreement(*truth.transformed(raw, {"compass_hold_s": hold}))["heading"] > 1.0
 
 
+def test_a_field_from_before_the_start_is_not_levelled_by_the_attitude_of_now() -> None:
+    raw = truth.signals(20.0)
+    quick = raw[300:].copy()
+    raw[:, 15:18] = np.repeat(raw[::50, 15:18], 50, axis=0)
+    held = {"compass_hold_s": 1.0}
+    late = [disagreement(*truth.transformed(raw[start:], held))["heading"] for start in range(300, 350, 7)]
+    assert max(late) < 0.01
+    # a field of each tick is read from the start on
+    assert disagreement(*truth.transformed(quick, held))["heading"] < 0.01
+    quick[300:, 15] += 0.2
+    assert disagreement(*truth.transformed(quick, held))["heading"] > 0.3
+
+
 def test_a_magnetometer_that_reads_zeros_for_a_while_has_no_direction_and_divides_nothing() -> None:
     raw = truth.signals(10.0)
     raw[200:400, MAG] = 0.0

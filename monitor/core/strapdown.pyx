@@ -412,8 +412,9 @@ cdef class StrapdownCore:
         memset(self._apart, 0, sizeof(self._apart))
         self._apart[0] = self._apart[4] = self._apart[8] = 1.0
         self._resets = self._summed = self._stills = self._loose = 0
-        self._tipped = self._unread = self._stood = False
+        self._tipped = self._stood = False
         self._fix_age = self._field_age = self._field_step = self._resting = 0
+        self._unread = self._mag
         self._still = self._blind = self._unstuck = False
         memset(self._doubt, 0, sizeof(self._doubt))
         memset(self._lacked, 0, sizeof(self._lacked))
@@ -944,19 +945,25 @@ cdef class StrapdownCore:
 
     cdef void follow_field(self, const double* level, const double* field, bint steep) noexcept:
         """Follow the heading of the magnetometer, until its next measurement by the body's rates."""
-        cdef bint same = memcmp(field, self._field, sizeof(self._field)) == 0
+        # The first one may be as old as the compass is slow: the attitude of now does not level it.
+        cdef bint same = not self._has_before or memcmp(field, self._field, sizeof(self._field)) == 0
         cdef int hold = self._compass_hold
         self._heading = self._heading + level[4] * self._dt
         if not same:
             self._field_step = self._field_age + 1
         elif self._field_step > max(hold, 1):
             hold = _HELD_STEPS * self._field_step
-        self._field_age = min(self._field_age + 1, _LONGEST_STEP) if same else 0
+        self._field_age = min(self._field_age + 1 + (not self._has_before), _LONGEST_STEP) if same else 0
         memcpy(self._field, field, sizeof(self._field))
         if steep:
             self._unread = True
-        elif self._field_age >= hold or (self._field_age == 1 if self._unread else not same):
-            # The first one back is used at once: between two samples both would change.
+        elif (
+            self._field_age >= hold
+            or (self._field_age == 1 if self._unread else not same)
+            or (not same and self._field_step == 1)
+        ):
+            # The first one back is used at once: between two samples both would change. So is one that changes at
+            # each tick.
             self._heading = self._heading + wrapped(_magnetic_heading(level, field) - self._heading)
             self._unread = False
 
