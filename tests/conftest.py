@@ -161,13 +161,23 @@ def arm_profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
 
 
 @contextlib.contextmanager
-def plain_fits() -> Iterator[None]:
-    """Fit without measuring what a profile will detect, and without its comparison on data kept back, a fit by itself.
+def unmeasured_fits() -> Iterator[None]:
+    """Fit without measuring what a profile will detect, a third of a fit.
 
-    Few tests need them.
+    Tests of capability measure it by motor, a fit of a custom model (test_replay_fit_custom.py) for all channels.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
+        yield
+
+
+@contextlib.contextmanager
+def plain_fits() -> Iterator[None]:
+    """Fit without measuring either, and without a profile's comparison on data kept back, a fit by itself.
+
+    Few tests need them.
+    """
+    with unmeasured_fits(), pytest.MonkeyPatch.context() as patch:
         patch.setattr("replay.fit.draw_comparison", lambda *_: None)
         patch.setattr("monitor.vehicles.multirotor.fit.compare_kept_back", lambda *_: None)
         yield
@@ -180,9 +190,9 @@ def quad_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def fit(folder: Path) -> None:
         healthy = [str(DATA / f"copter_healthy_{name}.tlog.xz") for name in ("square", "vel_gusty")]
-        with pytest.MonkeyPatch.context() as patch:
-            # a third of the fit: tests of capability measure single motors, the fit of a custom model all channels
-            patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
+        with unmeasured_fits(), pytest.MonkeyPatch.context() as patch:
+            # a tenth of the fit: that of the plane has a picture, too
+            patch.setattr("replay.fit.draw_comparison", lambda *_: None)
             assert fauio.main(["fit", "--vehicle", "multirotor", *healthy, "-o", str(folder)]) == 0
 
     return made_once(tmp_path_factory, "quad", fit)
