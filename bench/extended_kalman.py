@@ -33,7 +33,7 @@ class ExtendedKalmanFilter:
     def __init__(self, plant: Plant, rate_hz: float | None = None) -> None:
         self.model = filter_model(plant, rate_hz)
         discrete = self.model.plant
-        if len(discrete.taps) > 1 or any(curve != (1.0,) for curve in discrete.curves):
+        if len(discrete.taps) > 1 or discrete.bends.any() or any(curve != (1.0,) for curve in discrete.curves):
             raise ModelError(f"{plant.name}: the extended Kalman filter takes models without input delays and curves")
         self._g = [compile_expression(g.expression, g.arguments) for g in discrete.nonlinearities]
         self._slopes = [

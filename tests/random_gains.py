@@ -42,6 +42,7 @@ def random_gains(
         fault_inputs=(None,) * faults,
         input_taps=(1.0,),
         input_curves=np.column_stack([np.ones(s), 0.1 * np.arange(s)]),
+        input_bends=np.zeros((0, 0)),
         nonlinearities=tuple(ScalarNonlinearity(text, ("v",)) for text in nonlinearities),
         step_matrix=step,
         argument_matrix=rng.normal(size=(m, ns + s + p + 1)) / np.sqrt(ns),

@@ -26,6 +26,7 @@ class Quad:
     lag_s: float = 0.03
     delay_s: float = 0.02
     square: float = 0.4
+    drag: float = 0.0  # share of thrust's square in the drag, which turns about yaw
     effect: tuple[float, float, float] = (15.0, 15.0, 2.0)
     damping: tuple[float, float, float] = (1.0, 1.0, 0.6)
     gust: tuple[float, float, float] = (1.0, 1.0, 0.3)
@@ -58,6 +59,7 @@ def closed_loop(
     u = np.full((flights, 4), HOVER)
     on_the_way = [u] * round(quad.delay_s / STEP_S)
     thrust = (1.0 - quad.square) * u + quad.square * u**2
+    turn = thrust + quad.drag * (thrust**2 - thrust)
     keep, keep_lag = np.exp(-STEP_S / quad.gust_s), np.exp(-STEP_S / quad.lag_s)
     commands, rates = [], []
     every = round(1.0 / rate_hz / STEP_S)
@@ -78,9 +80,11 @@ def closed_loop(
             rates.append(measured)
         on_the_way.append(u)
         acting = on_the_way.pop(0)
-        last = thrust
+        last, turned = thrust, turn
         thrust = thrust + ((1.0 - quad.square) * acting + quad.square * acting**2 - thrust) * (1.0 - keep_lag)
-        y = y + STEP_S * (0.5 * (last + thrust) @ B.T - damping * y + gust)
+        turn = thrust + quad.drag * (thrust**2 - thrust)
+        torque = 0.5 * np.hstack([(last + thrust) @ B[:2].T, (turned + turn) @ B[2:].T])
+        y = y + STEP_S * (torque - damping * y + gust)
     settled = round(2.0 * rate_hz)
     return [Segment(np.array(commands)[settled:, i], np.array(rates)[settled:, i]) for i in range(flights)]
 

@@ -17,9 +17,18 @@ from gains.synthesis.convex import design_convex
 from gains.synthesis.design import Design
 from gains.synthesis.gains_file import Gains
 
+
+def bent(plant: Plant) -> Plant:
+    """Return the plant with bends of every other state."""
+    bends = np.random.default_rng(4).normal(size=(*plant.B.shape, 3))
+    bends[::2] = 0.0
+    return replace(plant, bends=bends)
+
+
 PLANTS = {
     "arm": replace(builtin_model("arm-disturbed"), c=np.array([0.1, -0.2, 0.3, -0.4])),
     "delays": replace(random_plant(21, 1, 1, nonlinear=2), taps=(0.2, 0.5, -0.1, 0.4)),
+    "bends": bent(random_plant(21, 1, 1, nonlinear=2)),
     "actuators": random_plant(22, 2, 0),
     "sensors": random_plant(23, 0, 2),
     "multirotor": multirotor(),
@@ -41,10 +50,11 @@ def compiled(request: pytest.FixtureRequest) -> tuple[Plant, Design, Gains]:
 
 
 def effect(plant: Plant, u: FloatArray) -> FloatArray:
-    """Return v = c1 u + c2 u^2 + ... of each input."""
-    return np.array(
-        [sum(c * x ** (d + 1) for d, c in enumerate(curve)) for x, curve in zip(u, plant.curves, strict=True)]
-    )
+    """Return v = c1 u + c2 u^2 + ... of each input, and then the r of states with a bend."""
+    v = [sum(c * x ** (d + 1) for d, c in enumerate(curve)) for x, curve in zip(u, plant.curves, strict=True)]
+    bends = plant.bends[plant.bends.any(axis=(1, 2))]
+    r = [sum(c * x ** (d + 1) for x, row in zip(u, rows, strict=True) for d, c in enumerate(row)) for rows in bends]
+    return np.array([*v, *r])
 
 
 def run_map(plant: Plant, gains: Gains, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -63,20 +73,21 @@ def run_textbook(plant: Plant, design: Design, u: FloatArray, y: FloatArray) -> 
     """Return [zeta^; fa^; yt] over time from the equations of the theory."""
     n, a2 = len(plant.states), len(plant.sensor_faults)
     T, C_b = np.eye(n, n + a2), np.hstack([plant.C, plant.D_f])
-    v = np.array([effect(plant, u_k) for u_k in u]).reshape(len(u), len(plant.inputs))
+    v = np.array([effect(plant, u_k) for u_k in u])
+    s, bent = len(plant.inputs), plant.bends.any(axis=(1, 2))
     a1, order = len(design.gains.L_p), design.integrator_order
     found = design.gains.inverse(augment(plant, order))
     start, outputs = np.linalg.pinv(plant.C) @ y[0], []
     eta, own = found.L1 @ start, found.L_q @ start
     chain = integrators(a1, order, design.rate_hz)
     for k, y_k in enumerate(y):
-        filtered = sum((h * v[max(k - d, 0)] for d, h in enumerate(plant.taps)), start=np.zeros(len(plant.inputs)))
+        filtered = sum((h * v[max(k - d, 0)] for d, h in enumerate(plant.taps)), start=np.zeros(v.shape[1]))
         zeta = eta + design.gains.F @ y_k
         yt = y_k - C_b @ zeta
         q = own + found.F_q @ y_k
         fa = q[:a1] + design.gains.L_p @ yt
-        g = np.sin(plant.H @ T @ zeta + plant.H_known @ np.append(filtered, 1.0) + plant.H_f @ q[:a1])
-        drive = plant.B @ filtered + plant.c + plant.G @ g + plant.E_f @ fa
+        g = np.sin(plant.H @ T @ zeta + plant.H_known @ np.append(filtered[:s], 1.0) + plant.H_f @ q[:a1])
+        drive = plant.B @ filtered[:s] + np.eye(n)[:, bent] @ filtered[s:] + plant.c + plant.G @ g + plant.E_f @ fa
         eta = design.gains.N @ eta + design.gains.J @ y_k + design.gains.L1 @ drive
         own = chain @ q + found.L_q @ (plant.A @ T @ zeta + drive) + design.gains.L_i @ yt
         published = zeta + design.gains.L_z @ yt if design.noise_once else zeta

@@ -44,6 +44,9 @@ rate = { torque = 0.1, brake = -0.2 }
 [C]
 encoder = "angle"
 
+[bends]
+angle = { brake = [0.0, 0.5] }
+
 [[nonlinearity]]
 expression = "sin(v)"
 arguments = { v = { angle = 2.0 } }
@@ -154,6 +157,7 @@ def plants(draw: st.DrawFn) -> Plant:
             state_errors=np.array(draw(st.lists(sizes, min_size=n, max_size=n))),
             taps=(0.25, 0.75) if discrete and draw(st.booleans()) else (1.0,),
             curves=tuple((1.0, draw(numbers())) for _ in inputs),
+            bends=np.array([draw(numbers()) if discrete else 0.0 for _ in range(2 * n * s)]).reshape(n, s, 2),
         )
     except ModelError:
         assume(False)
@@ -194,6 +198,8 @@ def test_tables_by_name_shorthands_and_defaults_mean_what_they_say(tmp_path: Pat
     assert plant.C.tolist() == [[1.0, 0.0]]
     assert plant.c.tolist() == [0.0, -0.5]
     assert plant.curves == ((1.0, 0.25), (1.0,))
+    assert plant.bends.tolist() == [[[0.0, 0.0], [0.0, 0.5]], [[0.0, 0.0], [0.0, 0.0]]]
+    assert plant.B_r.tolist() == [[0.0, 0.0, 1.0], [0.1, -0.2, 0.0]]
     assert plant.E_f.tolist() == [[0.0], [0.1]]
     assert plant.E_1.tolist() == [[0.0], [1.0]]
     assert plant.state_errors.tolist() == [0.01, 0.5]
@@ -236,6 +242,8 @@ def test_discrete_models_survive_the_file_to_the_last_bit(plant: Plant, tmp_path
         ('encoder = "angle"', "encoder = 3", "'C.encoder' is not a list of numbers"),
         ("taps = [0.5, 0.5]", "taps = [0.5, 0.6]", "'taps' add up to 1.1"),
         ("curves = { torque", "curves = { motor", "'curves.motor': there is no 'motor'"),
+        ("angle = { brake", "angle = { motor", "'bends.angle.motor': there is no 'motor'"),
+        ("angle = { brake", "speed = { brake", "'bends.speed' is not a key of this table"),
         ("offset = { rate", "offset = { speed", "'offset.speed': there is no 'speed'"),
         ('"sin(v)"', '"sin(w)"', r"'nonlinearity\[0\].expression': 'sin\(w\)' has the unknown name 'w'"),
         ('"sin(v)"', '"v**-1"', r"has no value, or a pole"),

@@ -32,6 +32,8 @@ def test_what_is_left_out_has_its_default() -> None:
     assert plant.G.shape == (2, 0)
     assert plant.state_errors.tolist() == [1.0, 1.0]
     assert plant.curves == ((1.0,),)
+    assert not plant.bends.size
+    assert np.array_equal(plant.B_r, plant.B)
     assert plant.E_f.shape == (2, 0)
     assert plant.D_1.shape == (2, 0)
 
@@ -79,6 +81,8 @@ def test_an_input_fault_may_repeat_its_column_of_B_but_not_another() -> None:
         ({"taps": ()}, "'taps' is empty"),
         ({"curves": ((1.0,), (1.0,))}, "'curves' has 2 entries for 1 inputs"),
         ({"curves": ((0.0, 0.0),)}, "'curves.u' needs"),
+        ({"bends": np.ones((2, 1, 2))}, "'bends' are known for the steps of a discrete model only"),
+        ({"bends": np.ones((1, 1, 2))}, "'bends' is 1 x 1 x 2 but the names make it 2 x 1 x 2"),
         ({"state_errors": np.array([1.0, 0.0])}, "error.b is not positive"),
         ({"faults": (Fault("m", "motor", np.ones(2)),)}, "'kind' is 'motor'"),  # type: ignore[arg-type]
         ({"faults": (Fault("m", "actuator", np.ones(3)),)}, "fault 'm': into' is 3"),

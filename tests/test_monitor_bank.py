@@ -57,7 +57,15 @@ class Motors:
         B = np.array([[-0.8, 0.8, 0.8, -0.8], [0.8, -0.8, 0.8, -0.8], [0.05, 0.05, -0.05, -0.05], [-4.0] * 4])[:axes]
         noise = np.array([2e-3, 2e-3, 1e-3, 0.1])[:axes]
         fit = MultirotorFit(
-            rate_hz, np.full(3, 0.9), B, -B @ np.full(4, HOVER), np.ones(1), 0.0, residual_std=noise, samples=10_000
+            rate_hz=rate_hz,
+            a=np.full(3, 0.9),
+            B=B,
+            c=-B @ np.full(4, HOVER),
+            taps=np.ones(1),
+            square=0.0,
+            bends=np.zeros((axes, 4, 2)),
+            residual_std=noise,
+            samples=10_000,
         )
         whole = multirotor_plant(fit, "quad", MOTORS, gyros=False)
         self.rate_hz, self.B, self.noise = rate_hz, B, noise

@@ -1,5 +1,6 @@
 """Sudden losses on simulated flights of exact truth: seen within samples, named right, never in coloured noise."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ FIT = MultirotorFit(
     c=np.zeros(4),
     taps=np.array([0.3, 0.5, 0.2]),
     square=0.3,
+    bends=np.zeros((4, 4, 2)),
     residual_std=np.array([2e-3, 2e-3, 5e-4, 0.3]),
     samples=10_000,
 )
@@ -179,6 +181,19 @@ def test_gusts_and_manoeuvres_reach_no_alarm(rule: ChangeRule) -> None:
         assert not len(seen(rule, flight(np.random.default_rng(50 + seed), 40.0, turn=turn), 0.5 * CLIP**2))
 
 
+def test_innovations_know_the_bend_of_an_axis() -> None:
+    flown = flight(np.random.default_rng(3), 10.0, turn=0.8)
+    bends = np.zeros((4, 4, 2))
+    bends[2] = np.outer(FIT.B[2], [-0.4, 0.5])
+    bent = replace(PLANT, bends=bends)
+    rule = ChangeRule(RATE_AXES, np.zeros((1, 3, 3)), np.tile([1.0, 0.0, 0.0], (3, 1)))
+    straight, curved = (ChangeStage(plant, HZ, {}, rule).innovations(flown.samples)[0] for plant in (PLANT, bent))
+    u = flown.samples.u
+    known = np.convolve((u * bends[2, :, 0] + u**2 * bends[2, :, 1]).sum(axis=1), FIT.taps)[: len(u) - 1]
+    assert (straight - curved)[10:, 2] == pytest.approx(known[9:], abs=1e-12)
+    assert np.array_equal(straight[:, :2], curved[:, :2])
+
+
 def test_a_jump_of_a_gyro_is_no_motor(rule: ChangeRule) -> None:
     flown = flight(np.random.default_rng(5), 6.0, jump=0.05, at_s=4.0)
     assert not len(seen(rule, flown, 0.5 * CLIP**2))
@@ -262,8 +277,8 @@ def test_a_lag_that_lets_next_to_nothing_through_at_first_explains_what_one_that
     def nats(taps: list[float]) -> NDArray[np.float64]:
         additions, none, only = np.zeros((6, 0, 1)), np.zeros(0, np.intp), np.zeros(1, np.intp)
         test = ChangeTest(
-            np.array([[0.9, -0.5, 0.0]]), np.ones((1, 1)), np.array(taps), only, only, additions, additions[:, :, 0],
-            none, none, only, False, 2.0, HZ, np.zeros((1, 1, 1)),
+            np.array([[0.9, -0.5, 0.0]]), np.ones((1, 1)), np.zeros((0, 1, 1)), np.array(taps), only, only, additions,
+            additions[:, :, 0], none, none, only, False, 2.0, HZ, np.zeros((1, 1, 1)),
             np.array([[1e-4, 0.0, 0.0]]), 5, 200, CLIP, 1_000.0,
         )  # fmt: skip
         times_ns = np.arange(n) * 10_000_000

@@ -27,9 +27,11 @@ def textbook(gains: Gains, u: Array, y: Array) -> tuple[Array, Array, Array]:
     n, a, p, ns = len(gains.states), len(gains.faults), len(gains.outputs), len(gains.initial_matrix)
     functions = [compile_expression(g.expression, g.arguments) for g in gains.nonlinearities]
     ends = np.cumsum([len(g.arguments) for g in gains.nonlinearities])
-    v = np.array(
-        [[np.polyval([*c[::-1], 0.0], uj) for c, uj in zip(gains.input_curves, row, strict=True)] for row in u]
-    )
+    inputs = len(gains.inputs)
+    curved = [[np.polyval([*c[::-1], 0.0], x) for c, x in zip(gains.input_curves, row, strict=True)] for row in u]
+    bends = np.split(gains.input_bends, gains.known - inputs) if gains.known > inputs else []
+    bent = [[sum(np.polyval([*c[::-1], 0.0], x) for c, x in zip(of, row, strict=True)) for of in bends] for row in u]
+    v = np.hstack([np.reshape(curved, (len(u), inputs)), np.reshape(bent, (len(u), len(bends)))])
     s = gains.initial_matrix @ [*v[0], *y[0], 1.0]
     rows = []
     for k in range(len(u)):
@@ -50,7 +52,7 @@ def nonlinear() -> tuple[Gains, ...]:
 
 @pytest.fixture(scope="module")
 def delayed() -> tuple[Gains, ...]:
-    """Return a bank of a linear plant whose two inputs act after a delay."""
+    """Return a bank of a linear plant whose two inputs, and a bend, act after a delay."""
     plant = Plant(
         name="delayed",
         domain="discrete",
@@ -62,6 +64,7 @@ def delayed() -> tuple[Gains, ...]:
         B=np.array([[0.1, 0.0], [0.02, 0.3]]),
         C=np.eye(2),
         taps=(0.0, 0.0, 0.7, 0.3),
+        bends=np.array([[[0.0, 0.0]] * 2, [[0.3, -0.1], [0.0, 0.2]]]),
         faults=(
             Fault("one", "actuator", np.array([0.1, 0.02]), rate=1.0),
             Fault("other", "actuator", np.array([0.0, 0.3]), rate=1.0),
@@ -134,8 +137,8 @@ def test_a_restart_forgets_the_past(nonlinear: tuple[Gains, ...]) -> None:
 
 def test_inputs_of_the_past_are_kept_once(delayed: tuple[Gains, ...]) -> None:
     layout = stack_layout(delayed)
-    assert layout.held == ((1, 0), (1, 1), (2, 0), (2, 1), (3, 0), (3, 1))
-    assert len(layout.initial) == sum(len(one.initial_matrix) - 6 for one in delayed)
+    assert layout.held == tuple((delay, source) for delay in (1, 2, 3) for source in (0, 1, 2))
+    assert len(layout.initial) == sum(len(one.initial_matrix) - 9 for one in delayed)
 
 
 def test_what_is_no_number_stays_where_it_can_matter() -> None:

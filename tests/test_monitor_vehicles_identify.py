@@ -45,6 +45,22 @@ def test_effects_are_true_within_their_errors_at_any_rate(rate_hz: float, flight
     assert np.mean([errors.times_s.sum() for _, errors in found]) == pytest.approx(0.05, abs=0.004)
 
 
+def test_drag_has_its_own_curve_over_the_command() -> None:
+    u = np.tile([[0.3], [0.5], [0.7]], (1, 4))
+    v = (1.0 - QUAD.square) * u + QUAD.square * u**2
+    for drag in (0.0, 0.7):
+        fit, _ = identify_multirotor(closed_loop(replace(QUAD, drag=drag), 100.0, 62.0, 3, 1, turning=2.0), 100.0)
+        assert not fit.bends[:2].any()
+        found = np.abs(fit.B[2] * ((1.0 - fit.square) * u + fit.square * u**2) + bent(fit, u)).mean(axis=1)
+        true = (v + drag * (v**2 - v)).mean(axis=1)
+        assert np.diff(found) / np.diff(found)[0] == pytest.approx(np.diff(true) / np.diff(true)[0], rel=0.1)
+
+
+def bent(fit: MultirotorFit, u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what the drag of each motor does besides what its thrust would."""
+    return np.asarray(sum(fit.bends[2, :, d] * u ** (d + 1) for d in range(fit.bends.shape[2])))
+
+
 def test_a_lost_measurement_costs_its_own_row() -> None:
     flight = closed_loop(QUAD, 100.0, 62.0, 4, 1)[0].part(0, 3000)
     lost = np.random.default_rng(3).random(len(flight.u)) < 0.03

@@ -164,6 +164,7 @@ def test_two_motors_on_an_arm_that_turn_alike_have_a_fault_together_and_others_o
             c=np.zeros(3),
             taps=np.ones(1),
             square=0.0,
+            bends=np.zeros((3, 8, 2)),
             residual_std=np.full(3, 0.01),
             samples=1000,
         )

@@ -109,6 +109,8 @@ def identify(
     """
     if model.example.taps != (1.0,):
         raise ModelError(f"{model.path}: 'taps': leave them out; the delay is estimated")
+    if model.example.bends.size:
+        raise ModelError(f"{model.path}: 'bends': leave them out; they are for models without free parameters")
     length = int(np.clip(round(_WINDOW_S * rate_hz), *_LENGTHS))
     longest = round(_LONGEST_DELAY_S * rate_hz) if model.example.inputs else 0
     for segments in (training, validation):

@@ -4,6 +4,7 @@
     A, B, C               nested lists, or tables of rows by name: [A] link_rate = { link_angle = -48.6 }
     offset                c, by state
     taps, curves          input nonlinearity: delays; coefficients of u, u^2, ... for all inputs or by input
+    bends                 by state and input: coefficients of what is added to the effect that B and curves give
     [[nonlinearity]]      expression, arguments (name -> row over states), into (column of G), slope, range
     [[fault]]             name, kind, input | into, rate, error, unit
     [[disturbance]]       name, into (states), scale
@@ -37,6 +38,7 @@ from gains.plants.plant import (
     Nonlinearity,
     Plant,
     PlantError,
+    padded_curves,
 )
 from gains.plants.slopes import check_slopes, slope_bounds
 
@@ -107,6 +109,7 @@ def model_hash(plant: Plant) -> str:
         "matrices": [matrix.tolist() for matrix in (plant.A, plant.B, plant.C, plant.c, plant.G)],
         "taps": plant.taps,
         "curves": plant.curves,
+        **({"bends": plant.bends.tolist()} if plant.bends.size else {}),
         "nonlinearities": [
             [
                 g.expression,
@@ -146,7 +149,9 @@ def read_plant(file: TomlFile) -> Plant:
     A, B = read_matrix(root, "A", states, states), read_matrix(root, "B", states, inputs)
     C, c = read_matrix(root, "C", outputs, states), read_vector(root, "offset", states)
     taps, curves = root.numbers("taps", [1.0]), read_by_name(root, "curves", inputs, [1.0])
-    tables = root.tables("nonlinearity")
+    bent, tables = root.table("bends"), root.tables("nonlinearity")
+    bends = padded_curves([curve for state in states for curve in read_by_name(bent, state, inputs, [0.0])])
+    bent.done()
     faults = [_fault(table, states, outputs) for table in root.tables("fault")]
     read = [_nonlinearity(table, states, inputs, [fault.name for fault in faults]) for table in tables]
     nonlinearities = [(g, into) for g, into, _ in read]
@@ -178,6 +183,7 @@ def read_plant(file: TomlFile) -> Plant:
             state_errors=errors,
             taps=taps,
             curves=tuple(curves),
+            bends=bends.reshape(len(states), len(inputs), bends.shape[1]),
         )
     except PlantError as error:
         file.mistake(error.path, str(error), named=False)
@@ -264,6 +270,9 @@ def model_document(plant: Plant) -> dict[str, Any]:
     }
     if len(set(plant.curves)) > 1:
         document["curves"] = dict(zip(plant.inputs, plant.curves, strict=True))
+    if plant.bends.size:
+        rows = {plant.states[i]: plant.bends[i].tolist() for i in plant.bent}
+        document["bends"] = {state: dict(zip(plant.inputs, row, strict=True)) for state, row in rows.items()}
     document |= {
         "nonlinearity": [_nonlinearity_table(plant, i) for i in range(len(plant.nonlinearities))],
         "fault": [_fault_table(plant, fault) for fault in plant.faults],

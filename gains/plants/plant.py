@@ -2,9 +2,10 @@
 
 In continuous time (``domain == "continuous"``; x' becomes x+ in a discrete model of fixed rate):
 
-    x'  = A x + B v + c + G g(x) + E_f f_a + E_1 w_1        x (n,), v (s,), f_a (a1,), w_1 (q1,)
+    x'  = A x + B v + r + c + G g(x) + E_f f_a + E_1 w_1    x (n,), v (s,), f_a (a1,), w_1 (q1,)
     y   = C x + D_f f_s + D_1 w_2                           y (p,), f_s (a2,), w_2 (q2,)
     v_i = sum_d taps[d] curve_i(u_i(k - d)),   curve_i(u) = c1 u + c2 u^2 + ...      known input nonlinearity
+    r_o = sum_d taps[d] sum_i bend_oi(u_i(k - d))          what inputs do to a state otherwise than their curves say
     g_i = g_i(H_i x),   a_ij <= dg_i/dnu_j <= b_ij                                    G is (n, m)
 
 A sampled plant evaluates its nonlinearities in the middle of the sample that begins: nu = H x + H_v v + h + H_f f_a
@@ -140,6 +141,8 @@ class Plant:
     taps: tuple[float, ...] = (1.0,)  # delays of the inputs, newest first, sum 1; more than one in discrete models only
     # coefficients c1, c2, ... of each input's static curve; empty: v = u
     curves: tuple[tuple[float, ...], ...] = ()
+    # coefficients of u, u^2, ... of each bend (n, s, degree), in discrete models; empty: none
+    bends: FloatArray = field(default_factory=_nothing)
     description: str = ""  # a sentence for people; it does not enter the model's hash
 
     def __post_init__(self) -> None:
@@ -162,6 +165,10 @@ class Plant:
             raise PlantError(f"error.{bad} is not positive; it is the size of error that matters", "error", bad)
         put("taps", _checked_taps(self.taps))
         put("curves", _checked_curves(self.curves, self.inputs))
+        bends = self.bends if np.any(self.bends) else np.zeros((n, s, 0))
+        put("bends", checked_array(bends, (n, s, np.shape(bends)[-1]), "bends"))
+        if self.domain == "continuous" and self.bends.any():
+            raise PlantError("'bends' are known for the steps of a discrete model only", "bends")
         put("nonlinearities", tuple(_checked_nonlinearity(g, n, s, i) for i, g in enumerate(self.nonlinearities)))
         put("faults", tuple(_checked_fault(fault, self, i) for i, fault in enumerate(self.faults)))
         put("disturbances", tuple(_checked_signal(w, n, "disturbance", i) for i, w in enumerate(self.disturbances)))
@@ -213,6 +220,16 @@ class Plant:
         """[0 D_1] (p, q) for w = [w_1; w_2], each in units of its scale."""
         scaled = self.D_1 * [w.scale for w in self.noises]
         return np.hstack([np.zeros((len(self.outputs), len(self.disturbances))), scaled])
+
+    @property
+    def bent(self) -> NDArray[np.intp]:
+        """Indices of the states with a bend (e,)."""
+        return np.flatnonzero(self.bends.any(axis=(1, 2)))
+
+    @property
+    def B_r(self) -> FloatArray:
+        """Columns of all known inputs [v; r] (n, s + e), r of the states with a bend."""
+        return np.hstack([self.B, np.eye(len(self.states))[:, self.bent]])
 
     @property
     def H(self) -> FloatArray:

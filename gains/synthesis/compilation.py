@@ -7,7 +7,8 @@ reads
     eta+  = N eta + J y + L1 (B vb + c + G g + E_f fa^)                               q^  = q + F_q y
     q+    = q^ + L_q (A x^ + B vb + c + G g + E_f fa^) + L_i yt                       nu  = H x^ + H_v vb + h + H_f q^
 
-and every line is linear in z = [s; v; y; 1; g] and is computed as a product with rows that select parts of z.
+where v is [v; r] and B is B_r if the plant has bends. Every line is linear in z = [s; v; y; 1; g] and is computed as a
+product with rows that select parts of z.
 What is published of zeta^ is zeta^ + L_z yt if there is an L_z. Integrators of order 2 have q = [q1; q2],
 fa^ = q1^ + L_p yt and q1+ = q1^ + T q2^ + ...
 """
@@ -85,7 +86,7 @@ class Selection(NamedTuple):
 
     def drive(self, plant: Plant) -> FloatArray:
         """Return B vb + c + G g: the known inputs of the states of a discrete plant."""
-        return np.asarray(plant.B @ self.effect(plant) + plant.c[:, None] * self.one + plant.G @ self.g)
+        return np.asarray(plant.B_r @ self.effect(plant) + plant.c[:, None] * self.one + plant.G @ self.g)
 
     def effect(self, plant: Plant) -> FloatArray:
         """Return vb."""
@@ -95,7 +96,7 @@ class Selection(NamedTuple):
 
 def selection(plant: Plant, own: int) -> Selection:
     """Return the rows for an observer of a discrete plant with this number of states of its own."""
-    s = len(plant.inputs)
+    s = plant.B_r.shape[1]
     sizes = [own, s * (len(plant.taps) - 1), s, len(plant.outputs), 1, len(plant.nonlinearities)]
     return Selection(*np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1]))
 
@@ -119,7 +120,7 @@ def recursion(
     initial = np.zeros((len(z.own) + len(z.past), s + start.shape[1] + 1))
     initial[: len(z.own), s:-1] = start
     initial[len(z.own) :, :s] = np.tile(np.eye(s), (delays, 1))
-    nu = plant.H @ x + plant.H_known @ np.vstack([z.effect(plant), z.one]) + plant.H_f @ q
+    nu = plant.H @ x + plant.H_known @ np.vstack([z.effect(plant)[: len(plant.inputs)], z.one]) + plant.H_f @ q
     return {
         "step_matrix": np.vstack([moved, np.vstack([z.v, z.past])[: len(z.past)], outputs]),
         # the arguments depend on all of z except g itself
@@ -148,6 +149,7 @@ def common_fields(plant: Plant, matrices: ObserverMatrices | None) -> dict[str, 
         "fault_inputs": tuple(None if fault.input is None else plant.inputs.index(fault.input) for fault in faults),
         "input_taps": plant.taps,
         "input_curves": padded_curves(plant.curves),
+        "input_bends": np.vstack([np.zeros((0, plant.bends.shape[2])), *plant.bends[plant.bent]]),
         "nonlinearities": tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
     }
 

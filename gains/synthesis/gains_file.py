@@ -19,7 +19,7 @@ from gains.plants.expression import compile_expression
 
 FORMAT = 2
 """Number of the layout: a reader refuses layouts that it does not know."""
-_ADDED: Mapping[str, Any] = {name: {"shape": [0, 0], "rows": []} for name in ("L_q", "F_q", "L_z")}
+_ADDED: Mapping[str, Any] = {name: {"shape": [0, 0], "rows": []} for name in ("L_q", "F_q", "L_z", "input_bends")}
 """Fields that earlier files do not have, and the values that they stand for there."""
 _LARGEST_FILE = 16 << 20
 """Largest size of a file, bytes. A quadrotor has 10,000, the sensors of a vehicle 26,000; a file of unknown origin must
@@ -57,6 +57,8 @@ class Gains:
     fault_inputs: tuple[int | None, ...]
     input_taps: tuple[float, ...]  # delays h_0, h_1, ... that are folded into the matrices
     input_curves: NDArray[np.float64]  # coefficients c1, c2, ... of v = curve(u) (s, degree)
+    # coefficients of the bends of e states, a row for each state and input (e s, degree); v is [v; r] below
+    input_bends: NDArray[np.float64]
     # the nonlinearities g_i (m of them), their arguments in the order of ``argument_matrix``
     nonlinearities: tuple[ScalarNonlinearity, ...]
     # [s+; zeta^; fa^; yt] = step_matrix [s; v; y; 1; g], nu = argument_matrix [s; v; y; 1] and s = initial_matrix [v;
@@ -76,6 +78,11 @@ class Gains:
     F_q: NDArray[np.float64]
     L_z: NDArray[np.float64]
     report: Mapping[str, Any]  # figures of the design: bound, norm, certificate
+
+    @property
+    def known(self) -> int:
+        """Number of known inputs [v; r], s + e."""
+        return len(self.inputs) + len(self.input_bends) // max(len(self.inputs), 1)
 
 
 def write_gains(gains: Gains, path: str | Path) -> None:
@@ -129,7 +136,7 @@ def read_gains(path: str | Path) -> Gains:
 
 
 def _check_shapes(gains: Gains) -> None:
-    n, s, p = len(gains.states), len(gains.inputs), len(gains.outputs)
+    n, s, p, v = len(gains.states), len(gains.inputs), len(gains.outputs), gains.known
     kinds = gains.fault_kinds
     if not len(gains.faults) == len(kinds) == len(gains.fault_units) == len(gains.fault_inputs):
         raise ModelError("'faults', 'fault_kinds', 'fault_units' and 'fault_inputs' differ in length")
@@ -144,13 +151,13 @@ def _check_shapes(gains: Gains) -> None:
     # A continuous design has its own states, and matrices for people only if it has the paper's structure.
     continuous = gains.domain == "continuous"
     nq = len(gains.L_i) if len(gains.L_i) == 2 * a1 and not continuous else a1
-    ns = len(gains.initial_matrix) if continuous else nz + nq + s * (len(gains.input_taps) - 1)
+    ns = len(gains.initial_matrix) if continuous else nz + nq + v * (len(gains.input_taps) - 1)
     m = len(gains.nonlinearities)
     arguments = sum(len(g.arguments) for g in gains.nonlinearities)
     compiled = {
-        "step_matrix": (ns + nz + a1 + p, ns + s + p + 1 + m),
-        "argument_matrix": (arguments, ns + s + p + 1),
-        "initial_matrix": (ns, s + p + 1),
+        "step_matrix": (ns + nz + a1 + p, ns + v + p + 1 + m),
+        "argument_matrix": (arguments, ns + v + p + 1),
+        "initial_matrix": (ns, v + p + 1),
     }
     structural = {
         "L1": (nz, n),
@@ -170,6 +177,8 @@ def _check_shapes(gains: Gains) -> None:
             raise ModelError(f"'{name}' is {actual} where the names make it {shape}")
     if gains.input_curves.shape[0] != s or gains.input_curves.shape[1] < 1:
         raise ModelError("'input_curves' does not have a row for each input")
+    if len(gains.input_bends) != (v - s) * s:
+        raise ModelError("'input_bends' does not have a row for each input")
 
 
 def _text(key: str, document: Mapping[str, Any]) -> str:

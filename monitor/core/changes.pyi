@@ -11,6 +11,7 @@ class ChangeTest:
         self,
         dynamics: Array,
         curves: Array,
+        bends: Array,
         taps: Array,
         judged: Sequence[int],
         actuators: Sequence[int] | NDArray[np.intp],

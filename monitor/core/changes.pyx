@@ -148,9 +148,12 @@ cdef class ChangeTest:
     Parameters
     ----------
     dynamics : ndarray
-        [A B_v c], the judged rows of the one-step prediction from y, the lagged v and 1 (p, n + s + 1).
+        [A B_v c], the judged rows of the one-step prediction from y, the lagged v and 1 (p, n + s + 1). Behind what
+        single inputs do, v has what all together add to some states.
     curves : ndarray
-        Coefficients of the input curves (s, degree).
+        Coefficients of the input curves (s - e, degree).
+    bends : ndarray
+        Coefficients by input of what all add to e states (e, s - e, degree).
     taps : ndarray
         Lag of the inputs (L,).
     judged : ndarray
@@ -183,6 +186,7 @@ cdef class ChangeTest:
     """
 
     cdef double[:, ::1] dynamics, curves, variance
+    cdef double[:, :, ::1] bends
     cdef double[::1] taps
     cdef Py_ssize_t[::1] judged, actuators, owner, faults
     cdef double[:, :, ::1] whitening, impulse, direct
@@ -229,14 +233,15 @@ cdef class ChangeTest:
     cdef Py_ssize_t[::1] told
     cdef int64_t row
 
-    def __init__(self, dynamics, curves, taps, judged, actuators, additions, grown, owner, sudden, faults, driven,
+    def __init__(self, dynamics, curves, bends, taps, judged, actuators, additions, grown, owner, sudden, faults, driven,
                  largest, rate_hz, whitening, variance, hold, window, clip, level_rows):
         self.dynamics, self.curves = np.ascontiguousarray(dynamics, float), np.ascontiguousarray(curves, float)
         self.taps, self.variance = np.ascontiguousarray(taps, float), np.ascontiguousarray(variance, float)
         self.judged, self.actuators = np.asarray(judged, np.intp), np.asarray(actuators, np.intp)
         self.whitening = np.ascontiguousarray(whitening, float)
         self.p, self.m, self.L, self.P = len(judged), len(actuators), len(taps), len(whitening)
-        self.s = len(curves)
+        self.bends = np.ascontiguousarray(bends, float)
+        self.s = len(curves) + len(bends)
         self.n = dynamics.shape[1] - self.s - 1
         self.grown = np.ascontiguousarray(grown, float)
         self.D, self.S = self.grown.shape[0], self.grown.shape[1]
@@ -392,14 +397,16 @@ cdef class ChangeTest:
     cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, const uint8_t[:] usable,
                    bint restart, bint ahead) noexcept:
         """Process one row: v, the innovation nu = y - (A y- + B v- + c), and the excitation of the model's errors."""
-        cdef Py_ssize_t i, j, d, row, before
+        cdef Py_ssize_t i, j, d, row, before, inputs = self.curves.shape[0]
         cdef double value, power, moved, command
         if restart:
             self.clear()
         self.row += 1
         row = self.row % self.length
         before = back(row, 1, self.length)
-        for j in range(self.s):
+        for j in range(inputs, self.s):
+            self.v[row, j] = 0.0
+        for j in range(inputs):
             value, power, command = 0.0, 1.0, u[k, j]
             if not fabs(command) < self.limit:
                 # An absurd command is not known; nor is v, for as long as lag and whitening reach back to it.
@@ -408,6 +415,12 @@ cdef class ChangeTest:
                 power *= command
                 value += self.curves[j, d] * power
             self.v[row, j] = value
+            for i in range(self.bends.shape[0]):
+                power = 1.0
+                for d in range(self.bends.shape[2]):
+                    power *= command
+                    self.v[row, inputs + i] += self.bends[i, j, d] * power
+        for j in range(self.s):
             # v after the lag, which acts on this row.
             self.acting[row, j] = 0.0
             for d in range(min(self.L, self.commands + ahead)):

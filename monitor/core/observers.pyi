@@ -12,6 +12,7 @@ class AffineMap:
         maps: Sequence[tuple[Array, Array]],
         initial: Array,
         curves: Array,
+        bends: Array,
         newer: NDArray[np.intp],
         source: NDArray[np.intp],
         functions: Sequence[Callable[..., float]],

@@ -67,6 +67,8 @@ cdef class AffineMap:
         c = initial [v; past v; y; 1] at a restart.
     curves : ndarray
         Coefficients of the input curves (s, degree).
+    bends : ndarray
+        Coefficients of the bends of e states, a row for each state and input (e s, degree): v is [v; r] in what follows.
     newer, source : ndarray
         For each past input, sorted by delay: the entry of [v; past v] whose value it gets after a row, and its input.
     functions, spans : sequences
@@ -77,22 +79,23 @@ cdef class AffineMap:
 
     cdef list steps, arguments
     cdef SparseMatrix initial
-    cdef double[:, ::1] curves
+    cdef double[:, ::1] curves, bends
     cdef Py_ssize_t[::1] newer, source, spans
     cdef tuple functions
-    cdef Py_ssize_t cores, inputs, past, observers, states, outputs, faults
+    cdef Py_ssize_t cores, commands, inputs, past, observers, states, outputs, faults
     cdef double[::1] z, w, out, nu
     cdef bint started, coasted
 
-    def __init__(self, maps, initial, curves, newer, source, functions, spans, observers, states, outputs, faults):
+    def __init__(self, maps, initial, curves, bends, newer, source, functions, spans, observers, states, outputs, faults):
         cdef Py_ssize_t width
         self.steps = [SparseMatrix(step) for step, _ in maps]
         self.arguments = [SparseMatrix(arguments) for _, arguments in maps]
         self.initial = SparseMatrix(initial)
-        self.curves = np.ascontiguousarray(curves, np.float64)
+        self.curves, self.bends = np.ascontiguousarray(curves, np.float64), np.ascontiguousarray(bends, np.float64)
         self.newer, self.source = newer.astype(np.intp), source.astype(np.intp)
         self.functions, self.spans = tuple(functions), np.asarray(spans, np.intp)
-        self.cores, self.inputs, self.past, self.outputs = len(initial), len(curves), len(newer), outputs
+        self.commands, self.inputs = len(curves), len(curves) + len(bends) // max(len(curves), 1)
+        self.cores, self.past, self.outputs = len(initial), len(newer), outputs
         self.observers, self.states, self.faults = observers, states, faults
         width = self.cores + self.inputs + self.past + self.outputs + 1
         self.z = np.zeros(width + len(self.functions) + faults)
@@ -109,8 +112,8 @@ cdef class AffineMap:
         u (n, s) and y (n, p) in the order of the gains; the first row ever restarts.
         """
         cdef Py_ssize_t k, i, j, at, count = u.shape[0]
-        if u.shape[1] != self.inputs or y.shape[1] != self.outputs:
-            raise ValueError(f"{u.shape[1]} inputs and {y.shape[1]} outputs, not {self.inputs} and {self.outputs}")
+        if u.shape[1] != self.commands or y.shape[1] != self.outputs:
+            raise ValueError(f"{u.shape[1]} inputs and {y.shape[1]} outputs, not {self.commands} and {self.outputs}")
         if not count == y.shape[0] == measured.shape[0] == restart.shape[0]:
             raise ValueError("u, y, measured and restart differ in length")
         results = (
@@ -121,8 +124,10 @@ cdef class AffineMap:
         cdef double[:, :, ::1] x = results[0], residual = results[2]
         cdef double[:, ::1] fault = results[1]
         for k in range(count):
-            for i in range(self.inputs):
+            for i in range(self.commands):
                 self.w[i] = effect(self.curves, i, u[k, i])
+            for i in range(self.commands, self.inputs):
+                self.w[i] = bend(self.bends, (i - self.commands) * self.commands, u, k)
             if restart[k] or not self.started:
                 self.set_outputs(y, k)
                 self.restart()
@@ -498,6 +503,15 @@ cdef double effect(const double[:, ::1] curves, Py_ssize_t j, double u) noexcept
     for i in range(degree - 2, -1, -1):
         value = (value + curves[j, i]) * u
     return value
+
+
+cdef double bend(const double[:, ::1] bends, Py_ssize_t first, const double[:, :] u, Py_ssize_t k) noexcept:
+    """Return what all inputs of a row add to a state, whose rows of ``bends`` begin at ``first``."""
+    cdef Py_ssize_t j
+    cdef double total = 0.0
+    for j in range(u.shape[1]):
+        total += effect(bends, first + j, u[k, j])
+    return total
 
 
 cdef double slope(const double[:, ::1] curves, Py_ssize_t j, double u) noexcept:

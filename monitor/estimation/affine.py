@@ -57,7 +57,7 @@ class StackLayout:
 def stack_layout(gains: tuple[Gains, ...]) -> StackLayout:
     """Return the matrices of observers with the same inputs, outputs and states; nobody may change them."""
     first, K = gains[0], len(gains)
-    s, p, n = len(first.inputs), len(first.outputs), len(first.states)
+    s, p, n = first.known, len(first.outputs), len(first.states)
     passed_on = [_passed_on(observer) for observer in gains]
     held = tuple(sorted(set[Held]().union(*(states.values() for states in passed_on))))
     own = [
@@ -106,7 +106,7 @@ def _states(gains: Gains) -> int:
 
 def _passed_on(gains: Gains) -> dict[int, Held]:
     """Return the states that hold nothing but a past input, also at a restart."""
-    size, s = _states(gains), len(gains.inputs)
+    size, s = _states(gains), gains.known
     passed_on: dict[int, Held] = {}
     sources = {size + j: Held(0, j) for j in range(s)}
     into = gains.step_matrix[:size]
@@ -212,7 +212,7 @@ def error_system(gains: Gains, plant: Plant) -> ErrorSystem:
     carries on, noise D_1 w_2 enters with each measurement. A sensor fault may do anything while it is measured; while
     it is not, it is held to move at its rate too. Nonlinearities count with their mean slopes.
     """
-    n, s, p, a = len(gains.states), len(gains.inputs), len(gains.outputs), len(gains.faults)
+    n, s, p, a = len(gains.states), gains.known, len(gains.outputs), len(gains.faults)
     nz, m, a1 = len(gains.L1), len(gains.nonlinearities), gains.fault_kinds.count("actuator")
     nd, ns = nz + len(gains.L_i), len(gains.initial_matrix)
     of_y, of_g = slice(ns + s, ns + s + p), slice(ns + s + p + 1, ns + s + p + 1 + m)
@@ -284,12 +284,13 @@ class AffineObserver:
             FaultSet(single.faults, tuple(source is not None for source in single.fault_inputs)) for single in gains
         )
         nonlinearities = [g for single in gains for g in single.nonlinearities]
-        s = len(first.inputs)
+        s = first.known
         entry = {(0, j): j for j in range(s)} | {held: s + i for i, held in enumerate(layout.held)}
         self._map = AffineMap(
             maps=(layout.step, layout.coast, layout.resume),
             initial=layout.initial,
             curves=first.input_curves,
+            bends=first.input_bends,
             newer=np.array([entry[delay - 1, j] for delay, j in layout.held], np.intp),
             source=np.array([j for _, j in layout.held], np.intp),
             functions=[compile_expression(g.expression, g.arguments) for g in nonlinearities],

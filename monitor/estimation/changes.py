@@ -150,6 +150,7 @@ class ChangeStage:
             self._test = ChangeTest(
                 **additions._asdict(),
                 curves=np.ones((self._depth * len(plant.inputs), 1)),
+                bends=np.zeros((0, self._depth * len(plant.inputs), 1)),
                 taps=np.ones(1),
                 driven=True,
                 largest=np.inf,
@@ -218,7 +219,7 @@ def _actuators_test(
     plant: Plant, rule: ChangeRule, named: int, judged: Sequence[int], common: Mapping[str, Any]
 ) -> ChangeTest:
     """Return the test of actuators: outputs are states, and jumps of them are no faults of the ``named`` ones."""
-    dynamics = np.column_stack([plant.A, plant.B, plant.c])[judged]
+    dynamics = np.column_stack([plant.A, plant.B_r, plant.c])[judged]
     units = np.eye(len(plant.outputs))[judged]
     # A jump that a filter passes as slowly as the motors' lag, or two of them, must not be taken for a motor's fault.
     lags = [np.ones(1), taps := np.array(plant.taps), np.convolve(taps, taps)]
@@ -229,6 +230,7 @@ def _actuators_test(
     return ChangeTest(
         dynamics=dynamics,
         curves=padded_curves(plant.curves),
+        bends=plant.bends[plant.bent],
         taps=taps,
         additions=_whitened(_unpredicted(moved, dynamics[:, : len(plant.outputs)], judged), rule.whitening),
         grown=np.ones((depth, jumps)),

@@ -48,7 +48,7 @@ class CoastingMaps(NamedTuple):
 @functools.lru_cache(maxsize=64)
 def coasting_maps(gains: Gains) -> CoastingMaps:
     """Return the steps of a compiled observer while measurements are missing and when they return."""
-    s, p, n, a = len(gains.inputs), len(gains.outputs), len(gains.states), len(gains.faults)
+    s, p, n, a = gains.known, len(gains.outputs), len(gains.states), len(gains.faults)
     a1 = gains.fault_kinds.count("actuator")
     M = gains.step_matrix
     ns, columns = M.shape[0] - n - a - p, M.shape[1]

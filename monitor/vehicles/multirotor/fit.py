@@ -94,8 +94,8 @@ def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> C
     except ModelError:
         return None
     unbroken = [segment for kept in rest for segment in kept.unbroken()]
-    driven = [Segment(fit.effect(segment.u), segment.y[len(fit.taps) - 1 :, :3]) for segment in unbroken]
-    model = np.diag(fit.a), fit.B[:3], fit.c[:3]
+    driven = [Segment(fit.drive(segment.u)[:, :3], segment.y[len(fit.taps) - 1 :, :3]) for segment in unbroken]
+    model = np.diag(fit.a), np.eye(3), fit.c[:3]
     return compared(RATE_AXES, "body rates (rad/s)", model, driven, rate_hz, SHOWN_S)
 
 

@@ -38,9 +38,10 @@ def motor_agreement(
 ) -> Agreement:
     """Compare the trim and the commanded thrust of each flight with those of the others.
 
-    Per flight, with w of the model, h its mean over all flights, s motors, and t from -1/2 to 1/2 in the flight,
+    Per flight, with w of the model and r of its bends, h the mean of w over all flights, s motors, and t from -1/2 to
+    1/2 in the flight,
 
-        y_o(k+1) - a_o y_o(k) - B_o w(k) - c_o = theta_o sum_i |B_oi h_i| / 2 + error
+        y_o(k+1) - a_o y_o(k) - B_o w(k) - r_o(k) - c_o = theta_o sum_i |B_oi h_i| / 2 + error
         sum_i w_i(k) / sum_i h_i - 1           = theta_thrust + theta_change t + error.
 
     A weak motor changes each theta_o by the share of the moment that it lacks, which names it. A payload, a sagging
@@ -73,7 +74,7 @@ def _rest(fit: MultirotorFit, segments: Sequence[Segment], hover: FloatArray, mo
     for segment in segments:
         w = fit.effect(segment.u)
         y = segment.y[len(segment.y) - 1 - len(w) :, :n]
-        rest = (y[1:] - fit.a * y[:-1] - w @ fit.B[:n].T - fit.c[:n]) / moments
+        rest = (y[1:] - fit.a * y[:-1] - fit.drive(segment.u)[:, :n] - fit.c[:n]) / moments
         rows.append(np.column_stack([rest, w.sum(axis=1) / hover.sum() - 1.0]))
     return np.concatenate([np.empty((0, n + 1)), *rows])
 

@@ -138,6 +138,7 @@ def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> 
         c=c,
         taps=taps,
         square=0.0,
+        bends=np.zeros((*B.shape, 2)),
         residual_std=_one_step_std(usable, a, B, c, taps),
         samples=sum(len(segment.u) - 2 for segment in usable),
     )
