@@ -62,11 +62,13 @@ def flight(
     jump: float = 0.0,
     growth: float = 0.0,
     broken: bool = False,
+    coupling: float = 0.0,
 ) -> Flight:
     """Return a hovering flight in gusts, steadied by a controller, with a loss of a motor or a jump of gyro x.
 
     ``turn`` is the amplitude of rates that the pilot asks for, rad/s. ``at_s`` may lie between samples; the loss grows
-    by ``growth`` a second, and is behind the motor's lag where its propeller is ``broken``.
+    by ``growth`` a second, and is behind the motor's lag where its propeller is ``broken``. ``coupling`` is what the
+    product of two body rates adds to the third, which the model does not know.
     """
     n, lag = round(seconds * HZ), len(FIT.taps)
     u, y = np.full((n, 4), HOVER), np.zeros((n, 4))
@@ -86,7 +88,7 @@ def flight(
         y[k, 0] += jump if k >= at_s * HZ else 0.0
         v = (share if broken else 1.0) * (FIT.taps @ delivered[k + lag : k : -1])
         y[k, 3] = lift @ v + rng.normal() * 0.3
-        rate = FIT.a * rate + B @ v - trim + gust
+        rate = FIT.a * rate + B @ v - trim + gust + coupling * np.roll(rate, 1) * np.roll(rate, 2)
     times = np.arange(n, dtype=np.int64) * round(1e9 / HZ)
     always = np.ones(n, np.bool_)
     nothing = np.zeros((n, 8), np.bool_)
@@ -181,12 +183,21 @@ def test_gusts_and_manoeuvres_reach_no_alarm(rule: ChangeRule) -> None:
         assert not len(seen(rule, flight(np.random.default_rng(50 + seed), 40.0, turn=turn), 0.5 * CLIP**2))
 
 
+def test_a_body_that_turns_about_several_axes_is_no_motor() -> None:
+    gentle = [flight(np.random.default_rng(1), 60.0, turn=turn, coupling=4e-3) for turn in (0.0, 0.4, 0.8)]
+    wild = flight(np.random.default_rng(2), 40.0, turn=2.5, coupling=4e-3)
+    rule = fit_changes(PLANT, HZ, RATE_AXES, gentle)
+    assert rule is not None
+    assert not len(seen(rule, wild, 0.5 * CLIP**2))
+    assert len(seen(replace(rule, variance=rule.variance * [1.0, 1.0, 1.0, 0.0]), wild, 0.5 * CLIP**2))
+
+
 def test_innovations_know_the_bend_of_an_axis() -> None:
     flown = flight(np.random.default_rng(3), 10.0, turn=0.8)
     bends = np.zeros((4, 4, 2))
     bends[2] = np.outer(FIT.B[2], [-0.4, 0.5])
     bent = replace(PLANT, bends=bends)
-    rule = ChangeRule(RATE_AXES, np.zeros((1, 3, 3)), np.tile([1.0, 0.0, 0.0], (3, 1)))
+    rule = ChangeRule(RATE_AXES, np.zeros((1, 3, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)))
     straight, curved = (ChangeStage(plant, HZ, {}, rule).innovations(flown.samples)[0] for plant in (PLANT, bent))
     u = flown.samples.u
     known = np.convolve((u * bends[2, :, 0] + u**2 * bends[2, :, 1]).sum(axis=1), FIT.taps)[: len(u) - 1]
@@ -279,7 +290,7 @@ def test_a_lag_that_lets_next_to_nothing_through_at_first_explains_what_one_that
         test = ChangeTest(
             np.array([[0.9, -0.5, 0.0]]), np.ones((1, 1)), np.zeros((0, 1, 1)), np.array(taps), only, only, additions,
             additions[:, :, 0], none, none, only, False, 2.0, HZ, np.zeros((1, 1, 1)),
-            np.array([[1e-4, 0.0, 0.0]]), 5, 200, CLIP, 1_000.0,
+            np.array([[1e-4, 0.0, 0.0, 0.0]]), 5, 200, CLIP, 1_000.0,
         )  # fmt: skip
         times_ns = np.arange(n) * 10_000_000
         return test.run(

@@ -176,7 +176,7 @@ cdef class ChangeTest:
     whitening : ndarray
         Phi_1 ... Phi_P (P, p, p).
     variance : ndarray
-        c_0, c_1 and c_2 of each judged output (p, 3).
+        c_0, c_1, c_2 and c_3 of each judged output (p, 4).
     hold, window : int
         Rows over which the maximum of rates and of changes of commands is held, and number of onsets that are tried.
     clip : float
@@ -233,8 +233,8 @@ cdef class ChangeTest:
     cdef Py_ssize_t[::1] told
     cdef int64_t row
 
-    def __init__(self, dynamics, curves, bends, taps, judged, actuators, additions, grown, owner, sudden, faults, driven,
-                 largest, rate_hz, whitening, variance, hold, window, clip, level_rows):
+    def __init__(self, dynamics, curves, bends, taps, judged, actuators, additions, grown, owner, sudden, faults,
+                 driven, largest, rate_hz, whitening, variance, hold, window, clip, level_rows):
         self.dynamics, self.curves = np.ascontiguousarray(dynamics, float), np.ascontiguousarray(curves, float)
         self.taps, self.variance = np.ascontiguousarray(taps, float), np.ascontiguousarray(variance, float)
         self.judged, self.actuators = np.asarray(judged, np.intp), np.asarray(actuators, np.intp)
@@ -465,9 +465,14 @@ cdef class ChangeTest:
                 self.most_excited[i] = max(self.most_excited[i], self.excited[row, i])
 
     cdef void whiten(self) noexcept:
-        """z = (nu - sum_i Phi_i nu(k - i)) / sigma, at most ``clip``; sigma^2 = (c_0 + c_1 r^2 + c_2 d^2) lambda."""
+        """z = (nu - sum_i Phi_i nu(k - i)) / sigma, at most ``clip``.
+
+        sigma^2 = (c_0 + c_1 r^2 + c_2 d^2 + c_3 w^2) lambda.
+        """
         cdef Py_ssize_t i, j, d, lag, newest = self.row % self.length
-        cdef double e, rate, moved, square, level, length = 0.0, weight, apart
+        cdef double e, rate, moved, square, level, length = 0.0, weight, apart, turning = 0.0
+        for i in range(self.p):
+            turning += self.most_excited[i] * self.most_excited[i]
         for i in range(self.p):
             self.whitened[i] = 0.0
             if self.known[i] <= self.P:
@@ -479,7 +484,8 @@ cdef class ChangeTest:
                     e -= self.whitening[lag, i, j] * self.innovation[back(newest, lag + 1, self.length), j]
             rate, moved = self.most_excited[i], self.most_excited[self.p + i]
             self.sigma[i] = sqrt(
-                self.variance[i, 0] + self.variance[i, 1] * rate * rate + self.variance[i, 2] * moved * moved)
+                self.variance[i, 0] + self.variance[i, 1] * rate * rate + self.variance[i, 2] * moved * moved
+                + self.variance[i, 3] * turning * turning)
             square = e * e / (self.sigma[i] * self.sigma[i])
             if self.driven and self.known[i] > self.P + 1:
                 apart = 0.5 * (e - self.last_e[i]) * (e - self.last_e[i]) / (self.sigma[i] * self.sigma[i])

@@ -5,8 +5,11 @@ few samples. The one-step innovation nu of the fitted model is coloured, and its
 model describes worst; both are fitted to healthy flights:
 
     e(k) = nu(k) - sum_i Phi_i nu(k - i)                                   whitened by a vector autoregression
-    sigma_i^2 = (c_0 + c_1 r_i^2 + c_2 d_i^2) lambda_i                     r, d: largest output and change of the
-    z_i = e_i / sigma_i                                                    commanded effect over ``HOLD_S``
+    sigma_i^2 = (c_0 + c_1 r_i^2 + c_2 d_i^2 + c_3 w^2) lambda_i           r, d: largest output and change of the
+    z_i = e_i / sigma_i,   w = sum_i r_i^2                                 commanded effect over ``HOLD_S``
+
+A linear model lacks the products of body rates, of which the torque of a turning body consists, omega x J omega; that
+about one axis is large while the others turn, however still it is itself. w bounds all of them.
 
 lambda, at least 1, follows the mean of e^2 over its healthy variance: it grows in gusts that no fitted flight had.
 
@@ -67,7 +70,7 @@ class ChangeRule:
 
     outputs: tuple[str, ...]  # the p outputs that are judged
     whitening: NDArray[np.float64]  # Phi_1 ... Phi_P (P, p, p)
-    variance: NDArray[np.float64]  # c_0, c_1 and c_2 of each (p, 3)
+    variance: NDArray[np.float64]  # c_0 to c_3 of each (p, 4)
     # faults that are named although they scale no input, and how long their measurements take for a jump, seconds
     lasts_s: Mapping[str, float] = field(default_factory=dict)
     # actuators that may be off by a share of their full deflection, and the lag with which they follow, seconds
@@ -96,9 +99,10 @@ def read_changes(table: Table, outputs: Sequence[str]) -> ChangeRule:
     p, order = len(judged), table.integer("order", at_least=1)
     apart = table.has("lasts_s") or table.has("lags_s")
     stacked = table.matrix("whitening", order if apart else order * p, p)
-    variance = table.matrix("variance", p, 3)
-    if table.good("variance") and not ((variance >= 0.0).all() and (variance[:, 0] > 0.0).all()):
-        table.mistake("variance", "has a negative entry, or none that is constant")
+    turning = table.matrix("turning", p, 1) if table.has("turning") else np.zeros((p, 1))
+    variance = np.hstack([table.matrix("variance", p, 3), turning])
+    if table.good("variance", "turning") and not ((variance >= 0.0).all() and (variance[:, 0] > 0.0).all()):
+        table.mistake("variance", "or 'turning' has a negative entry, or none that is constant")
     times = [table.table(key) for key in ("lasts_s", "lags_s")]
     lasts_s, lags_s = ({name: given.number(name, at_least=0.0) for name in given} for given in times)
     table.done()
@@ -114,7 +118,8 @@ def changes_table(rule: ChangeRule) -> dict[str, Any]:
         "outputs": list(rule.outputs),
         "order": len(rule.whitening),
         "whitening": whitening.tolist(),
-        "variance": rule.variance.tolist(),
+        "variance": rule.variance[:, :3].tolist(),
+        **({"turning": rule.variance[:, 3:].tolist()} if rule.variance[:, 3].any() else {}),
         **apart,
     }
 

@@ -42,7 +42,7 @@ def fit_changes(
     """
     p, times = len(outputs), (dict(lasts_s or {}), dict(lags_s or {}))
     named = times[0] | times[1]
-    start = ChangeRule(tuple(outputs), np.zeros((_ORDER, p, p)), np.tile([1.0, 0.0, 0.0], (p, 1)), *times)
+    start = ChangeRule(tuple(outputs), np.zeros((_ORDER, p, p)), np.tile([1.0, 0.0, 0.0, 0.0], (p, 1)), *times)
     stretches = []
     for flight in flights:
         nu, excited, known = ChangeStage(plant, rate_hz, dict.fromkeys(named), start).innovations(flight.samples)
@@ -59,7 +59,10 @@ def fit_changes(
         whitening = _autoregression([nu for nu, _ in stretches])
     e = np.vstack([_whitened(nu, whitening) for nu, _ in stretches])
     excited = np.vstack([causes[_ORDER:] for _, causes in stretches])
-    variance = np.array([excited_variance(e[:, [i]], excited[:, [i, p + i]]) for i in range(p)])
+    # what sensors' models lack is no product of their outputs
+    turning = np.zeros(len(e)) if named else (excited[:, :p] ** 2).sum(axis=1)
+    causes = (np.column_stack([excited[:, [i, p + i]], turning]) for i in range(p))
+    variance = np.array([excited_variance(e[:, [i]], of_axis) for i, of_axis in enumerate(causes)])
     return ChangeRule(tuple(outputs), _rounded(whitening), _rounded(variance), *times)
 
 

@@ -81,10 +81,10 @@ def fit_excitation(
 def excited_variance(
     error: NDArray[np.float64], excited: NDArray[np.float64], level: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Return c >= 0 of E e^2 = c_0 + c_1 r^2 + c_2 d^2 (3,), of errors (N, m) and r and d (N, 2).
+    """Return c >= 0 of E e^2 = c_0 + c_1 r^2 + c_2 d^2 + ... (1 + n,), of errors (N, m) and causes r, d, ... (N, n).
 
-    With a ``level`` of the residuals (N,) they are those of E e^2 = max(1, level) (c_0 + c_1 r^2 + c_2 d^2) + c_3 level
-    (4,). By iterated weighted least squares; use it for any error that grows with what a vehicle does.
+    With a ``level`` of the residuals (N,) they are those of E e^2 = max(1, level) (c_0 + c_1 r^2 + ...) + c level
+    (2 + n,). By iterated weighted least squares; use it for any error that grows with what a vehicle does.
     """
     from scipy.optimize import nnls
 
