@@ -53,7 +53,7 @@ def effect(plant: Plant, u: FloatArray) -> FloatArray:
     """Return v = c1 u + c2 u^2 + ... of each input, and then the r of states with a bend."""
     v = [sum(c * x ** (d + 1) for d, c in enumerate(curve)) for x, curve in zip(u, plant.curves, strict=True)]
     bends = plant.bends[plant.bends.any(axis=(1, 2))]
-    r = [sum(c * x ** (d + 1) for x, row in zip(u, rows, strict=True) for d, c in enumerate(row)) for rows in bends]
+    r = [sum(c * x ** (d + 1) for x, row in zip(v, rows, strict=True) for d, c in enumerate(row)) for rows in bends]
     return np.array([*v, *r])
 
 

@@ -199,8 +199,8 @@ def test_innovations_know_the_bend_of_an_axis() -> None:
     bent = replace(PLANT, bends=bends)
     rule = ChangeRule(RATE_AXES, np.zeros((1, 3, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)))
     straight, curved = (ChangeStage(plant, HZ, {}, rule).innovations(flown.samples)[0] for plant in (PLANT, bent))
-    u = flown.samples.u
-    known = np.convolve((u * bends[2, :, 0] + u**2 * bends[2, :, 1]).sum(axis=1), FIT.taps)[: len(u) - 1]
+    v = thrust(flown.samples.u)
+    known = np.convolve((v * bends[2, :, 0] + v**2 * bends[2, :, 1]).sum(axis=1), FIT.taps)[: len(v) - 1]
     assert (straight - curved)[10:, 2] == pytest.approx(known[9:], abs=1e-12)
     assert np.array_equal(straight[:, :2], curved[:, :2])
 

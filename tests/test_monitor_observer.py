@@ -23,21 +23,34 @@ COUNT = 60
 
 
 def textbook(gains: Gains, u: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return x, [fa; fs] and residual of the recursion that gains files hold, row by row."""
+    """Return x, [fa; fs] and residual of the recursion that gains files hold, row by row.
+
+    Where there is a bend, it is that of the second state.
+    """
     n, a, p, ns = len(gains.states), len(gains.faults), len(gains.outputs), len(gains.initial_matrix)
     functions = [compile_expression(g.expression, g.arguments) for g in gains.nonlinearities]
     ends = np.cumsum([len(g.arguments) for g in gains.nonlinearities])
     inputs = len(gains.inputs)
     curved = [[np.polyval([*c[::-1], 0.0], x) for c, x in zip(gains.input_curves, row, strict=True)] for row in u]
     bends = np.split(gains.input_bends, gains.known - inputs) if gains.known > inputs else []
-    bent = [[sum(np.polyval([*c[::-1], 0.0], x) for c, x in zip(of, row, strict=True)) for of in bends] for row in u]
-    v = np.hstack([np.reshape(curved, (len(u), inputs)), np.reshape(bent, (len(u), len(bends)))])
+
+    def bent(row: Array) -> list[float]:
+        return [sum(np.polyval([*c[::-1], 0.0], x) for c, x in zip(of, row, strict=True)) for of in bends]
+
+    v = np.array([[*row, *bent(row)] for row in curved])
+    fault, sources = np.zeros(inputs), [source for source in gains.fault_inputs if source is not None]
     s = gains.initial_matrix @ [*v[0], *y[0], 1.0]
     rows = []
     for k in range(len(u)):
         nu = np.split(gains.argument_matrix @ [*s, *v[k], *y[k], 1.0], ends)
         g = [function(*arguments) for function, arguments in zip(functions, nu, strict=False)]
         out = gains.step_matrix @ [*s, *v[k], *y[k], 1.0, *g]
+        if bends:
+            acting = sum(h * v[max(k - d, 0), :inputs] for d, h in enumerate(gains.input_taps))
+            faulty = acting + np.clip(fault, -np.abs(acting), np.abs(acting))
+            driven = np.vstack([gains.L1, gains.L_q])[:, 1]
+            out[: len(driven)] += driven * (bent(faulty)[0] - bent(acting)[0])
+            fault[sources] = out[len(out) - p - len(sources) : len(out) - p]
         s = out[:ns]
         rows.append(out[ns:])
     x, fs, fa, residual = np.split(np.array(rows), [n, n + a - gains.fault_kinds.count("actuator"), n + a], axis=1)
@@ -66,11 +79,22 @@ def delayed() -> tuple[Gains, ...]:
         taps=(0.0, 0.0, 0.7, 0.3),
         bends=np.array([[[0.0, 0.0]] * 2, [[0.3, -0.1], [0.0, 0.2]]]),
         faults=(
-            Fault("one", "actuator", np.array([0.1, 0.02]), rate=1.0),
-            Fault("other", "actuator", np.array([0.0, 0.3]), rate=1.0),
+            Fault("one", "actuator", np.array([0.1, 0.02]), rate=1.0, input="one"),
+            Fault("other", "actuator", np.array([0.0, 0.3]), rate=1.0, input="other"),
         ),
     )
     return compile_bank(plant, design_bank(plant))
+
+
+def test_a_fault_bends_what_its_input_bends(delayed: tuple[Gains, ...]) -> None:
+    u, y = np.tile([0.5, 0.8], (200, 1)), np.zeros((201, 2))
+    acting = np.array([0.5, 0.6])  # a quarter of the other is lost
+    r = 0.3 * acting[0] - 0.1 * acting[0] ** 2 + 0.2 * acting[1] ** 2
+    for k in range(200):
+        y[k + 1] = [[0.9, 0.1], [0.0, 0.8]] @ y[k] + [[0.1, 0.0], [0.02, 0.3]] @ acting + [0.0, r]
+    names = [name for gains in delayed for name in gains.faults]
+    estimates = AffineObserver(delayed).run(u, y[:-1]).fault[-1]
+    assert estimates[[at for at, name in enumerate(names) if name == "other"]] == pytest.approx(-0.2)
 
 
 def driven(bank: tuple[Gains, ...], seed: int, count: int = COUNT) -> tuple[Array, Array]:

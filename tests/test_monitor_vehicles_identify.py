@@ -58,7 +58,8 @@ def test_drag_has_its_own_curve_over_the_command() -> None:
 
 def bent(fit: MultirotorFit, u: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what the drag of each motor does besides what its thrust would."""
-    return np.asarray(sum(fit.bends[2, :, d] * u ** (d + 1) for d in range(fit.bends.shape[2])))
+    v = (1.0 - fit.square) * u + fit.square * u**2
+    return np.asarray(sum(fit.bends[2, :, d] * v ** (d + 1) for d in range(fit.bends.shape[2])))
 
 
 def test_a_lost_measurement_costs_its_own_row() -> None:

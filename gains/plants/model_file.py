@@ -4,7 +4,7 @@
     A, B, C               nested lists, or tables of rows by name: [A] link_rate = { link_angle = -48.6 }
     offset                c, by state
     taps, curves          input nonlinearity: delays; coefficients of u, u^2, ... for all inputs or by input
-    bends                 by state and input: coefficients of what is added to the effect that B and curves give
+    bends                 by state and input: coefficients of v, v^2, ... of what is added to the effect B v
     [[nonlinearity]]      expression, arguments (name -> row over states), into (column of G), slope, range
     [[fault]]             name, kind, input | into, rate, error, unit
     [[disturbance]]       name, into (states), scale

@@ -5,7 +5,7 @@ In continuous time (``domain == "continuous"``; x' becomes x+ in a discrete mode
     x'  = A x + B v + r + c + G g(x) + E_f f_a + E_1 w_1    x (n,), v (s,), f_a (a1,), w_1 (q1,)
     y   = C x + D_f f_s + D_1 w_2                           y (p,), f_s (a2,), w_2 (q2,)
     v_i = sum_d taps[d] curve_i(u_i(k - d)),   curve_i(u) = c1 u + c2 u^2 + ...      known input nonlinearity
-    r_o = sum_d taps[d] sum_i bend_oi(u_i(k - d))          what inputs do to a state otherwise than their curves say
+    r_o = sum_d taps[d] sum_i bend_oi(curve_i(u_i(k - d))) what effects of inputs do to a state besides B v
     g_i = g_i(H_i x),   a_ij <= dg_i/dnu_j <= b_ij                                    G is (n, m)
 
 A sampled plant evaluates its nonlinearities in the middle of the sample that begins: nu = H x + H_v v + h + H_f f_a
@@ -141,7 +141,7 @@ class Plant:
     taps: tuple[float, ...] = (1.0,)  # delays of the inputs, newest first, sum 1; more than one in discrete models only
     # coefficients c1, c2, ... of each input's static curve; empty: v = u
     curves: tuple[tuple[float, ...], ...] = ()
-    # coefficients of u, u^2, ... of each bend (n, s, degree), in discrete models; empty: none
+    # coefficients of v, v^2, ... of each bend (n, s, degree), in discrete models; empty: none
     bends: FloatArray = field(default_factory=_nothing)
     description: str = ""  # a sentence for people; it does not enter the model's hash
 

@@ -57,7 +57,7 @@ class Gains:
     fault_inputs: tuple[int | None, ...]
     input_taps: tuple[float, ...]  # delays h_0, h_1, ... that are folded into the matrices
     input_curves: NDArray[np.float64]  # coefficients c1, c2, ... of v = curve(u) (s, degree)
-    # coefficients of the bends of e states, a row for each state and input (e s, degree); v is [v; r] below
+    # coefficients over v of the bends of e states, a row for each state and input (e s, degree); v is [v; r] below
     input_bends: NDArray[np.float64]
     # the nonlinearities g_i (m of them), their arguments in the order of ``argument_matrix``
     nonlinearities: tuple[ScalarNonlinearity, ...]

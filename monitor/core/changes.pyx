@@ -153,7 +153,7 @@ cdef class ChangeTest:
     curves : ndarray
         Coefficients of the input curves (s - e, degree).
     bends : ndarray
-        Coefficients by input of what all add to e states (e, s - e, degree).
+        Coefficients over v, by input, of what all add to e states (e, s - e, degree).
     taps : ndarray
         Lag of the inputs (L,).
     judged : ndarray
@@ -418,7 +418,7 @@ cdef class ChangeTest:
             for i in range(self.bends.shape[0]):
                 power = 1.0
                 for d in range(self.bends.shape[2]):
-                    power *= command
+                    power *= value
                     self.v[row, inputs + i] += self.bends[i, j, d] * power
         for j in range(self.s):
             # v after the lag, which acts on this row.

@@ -13,14 +13,16 @@ class AffineMap:
         initial: Array,
         curves: Array,
         bends: Array,
+        lagged: Array,
         newer: NDArray[np.intp],
         source: NDArray[np.intp],
         functions: Sequence[Callable[..., float]],
         spans: ArrayLike,
+        owner: NDArray[np.intp],
+        scaled: NDArray[np.intp],
         observers: int,
         states: int,
         outputs: int,
-        faults: int,
     ) -> None: ...
     def run(self, u: Array, y: Array, measured: Flags, restart: Flags) -> tuple[Array, Array, Array]: ...
 

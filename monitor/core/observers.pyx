@@ -54,7 +54,9 @@ cdef class SparseMatrix:
 cdef class AffineMap:
     """K observers of one plant as one affine map with scalar nonlinearities.
 
-        nu = N z,    [c+; x^; f^; yt] = M z,    z = [c; v; past v; y; 1; g(nu); f^ before]
+        nu = N z,    [c+; x^; f^; yt] = M z,    z = [c; v; past v; y; 1; g(nu); d; f^ before]
+
+    where d, for each observer and bend, is what the bend of v + f^ has more than that of v.
 
     with one pair (M, N) for each kind of row: measured, coasted, and the first one measured after that. Matrices and
     layout come from :mod:`monitor.estimation.affine`.
@@ -68,29 +70,36 @@ cdef class AffineMap:
     curves : ndarray
         Coefficients of the input curves (s, degree).
     bends : ndarray
-        Coefficients of the bends of e states, a row for each state and input (e s, degree): v is [v; r] in what follows.
+        Coefficients over v of the bends of e states, a row for each state and input (e s, degree): v is [v; r] in what
+        follows.
+    lagged : ndarray
+        What acts now of each input, of [v; past v; y; 1] (s, entries).
     newer, source : ndarray
         For each past input, sorted by delay: the entry of [v; past v] whose value it gets after a row, and its input.
     functions, spans : sequences
         The nonlinearities as Python functions, and where the arguments of each begin in nu (one more than functions).
-    observers, states, outputs, faults : int
-        Number of observers, of one observer's states and outputs, and of all faults.
+    owner, scaled : ndarray
+        For each fault, its observer and the input that it scales, -1 for none (faults,).
+    observers, states, outputs : int
+        Number of observers, and of one observer's states and outputs.
     """
 
     cdef list steps, arguments
-    cdef SparseMatrix initial
+    cdef SparseMatrix initial, lagged
     cdef double[:, ::1] curves, bends
-    cdef Py_ssize_t[::1] newer, source, spans
+    cdef Py_ssize_t[::1] newer, source, spans, owner, scaled
     cdef tuple functions
     cdef Py_ssize_t cores, commands, inputs, past, observers, states, outputs, faults
-    cdef double[::1] z, w, out, nu
+    cdef double[::1] z, w, out, nu, acting, bent
     cdef bint started, coasted
 
-    def __init__(self, maps, initial, curves, bends, newer, source, functions, spans, observers, states, outputs, faults):
-        cdef Py_ssize_t width
+    def __init__(self, maps, initial, curves, bends, lagged, newer, source, functions, spans, owner, scaled, observers,
+                 states, outputs):
+        cdef Py_ssize_t width, faults = len(owner)
         self.steps = [SparseMatrix(step) for step, _ in maps]
         self.arguments = [SparseMatrix(arguments) for _, arguments in maps]
-        self.initial = SparseMatrix(initial)
+        self.initial, self.lagged, self.acting = SparseMatrix(initial), SparseMatrix(lagged), np.zeros(len(lagged))
+        self.owner, self.scaled = owner.astype(np.intp), scaled.astype(np.intp)
         self.curves, self.bends = np.ascontiguousarray(curves, np.float64), np.ascontiguousarray(bends, np.float64)
         self.newer, self.source = newer.astype(np.intp), source.astype(np.intp)
         self.functions, self.spans = tuple(functions), np.asarray(spans, np.intp)
@@ -98,7 +107,8 @@ cdef class AffineMap:
         self.cores, self.past, self.outputs = len(initial), len(newer), outputs
         self.observers, self.states, self.faults = observers, states, faults
         width = self.cores + self.inputs + self.past + self.outputs + 1
-        self.z = np.zeros(width + len(self.functions) + faults)
+        self.z = np.zeros(width + len(self.functions) + observers * (self.inputs - self.commands) + faults)
+        self.bent = self.z[width + len(self.functions) : self.z.shape[0] - faults]
         self.w = self.z[self.cores : width]
         self.w[self.w.shape[0] - 1] = 1.0
         self.out = np.zeros(self.cores + observers * (states + outputs) + faults)
@@ -127,7 +137,7 @@ cdef class AffineMap:
             for i in range(self.commands):
                 self.w[i] = effect(self.curves, i, u[k, i])
             for i in range(self.commands, self.inputs):
-                self.w[i] = bend(self.bends, (i - self.commands) * self.commands, u, k)
+                self.w[i] = bend(self.bends, (i - self.commands) * self.commands, self.w[: self.commands])
             if restart[k] or not self.started:
                 self.set_outputs(y, k)
                 self.restart()
@@ -175,6 +185,8 @@ cdef class AffineMap:
         cdef Py_ssize_t before = self.z.shape[0] - self.faults, estimated = self.cores + self.observers * self.states
         if self.functions:
             self.evaluate(kind)
+        if self.bent.shape[0]:
+            self.bend_faults()
         (<SparseMatrix> self.steps[kind]).multiply(self.z, self.out)
         for i in range(self.cores):
             self.z[i] = self.out[i]
@@ -184,6 +196,25 @@ cdef class AffineMap:
         for i in range(self.past - 1, -1, -1):
             self.w[self.inputs + i] = self.w[self.newer[i]]
         return 0
+
+    cdef void bend_faults(self) noexcept:
+        """Write d: a motor that delivers less thrust has less of the drag that its thrust bends, too.
+
+        A fault counts as no more than its whole input, whatever is estimated while an observer settles.
+        """
+        cdef Py_ssize_t a, i, j, bends = self.inputs - self.commands
+        cdef double v, faulty
+        self.lagged.multiply(self.w, self.acting)
+        self.bent[:] = 0.0
+        for a in range(self.faults):
+            j = self.scaled[a]
+            if j < 0:
+                continue
+            v = self.acting[j]
+            faulty = v + at_least(-at_least(-self.z[self.z.shape[0] - self.faults + a], -fabs(v)), -fabs(v))
+            for i in range(bends):
+                self.bent[self.owner[a] * bends + i] += (
+                    effect(self.bends, i * self.commands + j, faulty) - effect(self.bends, i * self.commands + j, v))
 
     cdef int evaluate(self, int kind) except -1:
         """Write g(nu), nu = N z: Python functions, the one thing here that is not compiled."""
@@ -505,12 +536,12 @@ cdef double effect(const double[:, ::1] curves, Py_ssize_t j, double u) noexcept
     return value
 
 
-cdef double bend(const double[:, ::1] bends, Py_ssize_t first, const double[:, :] u, Py_ssize_t k) noexcept:
-    """Return what all inputs of a row add to a state, whose rows of ``bends`` begin at ``first``."""
+cdef double bend(const double[:, ::1] bends, Py_ssize_t first, const double[:] v) noexcept:
+    """Return what all inputs add to a state, whose rows of ``bends`` begin at ``first``."""
     cdef Py_ssize_t j
     cdef double total = 0.0
-    for j in range(u.shape[1]):
-        total += effect(bends, first + j, u[k, j])
+    for j in range(v.shape[0]):
+        total += effect(bends, first + j, v[j])
     return total
 
 

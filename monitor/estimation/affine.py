@@ -8,9 +8,14 @@ nonlinearity, past v are part of the state s and carry motor lag and transport d
 
 A row without measurements is the same product with another matrix (:mod:`monitor.estimation.coasting`), and so is the
 first one after it. Stacked, the observers of a bank are one such map, whose zeros cost nothing, and the past inputs
-they share are kept once. With z = [c; v; past v; y; 1; g; f] the outputs are [c+; x; f; yt], each observer's parts one
-after the other. A state that only hands on what an input was a sample before (v(k-1), v(k-2), ...) is the same for all
-observers and is kept once, as past v; the others are the cores c.
+they share are kept once. With z = [c; v; past v; y; 1; g; d; f] the outputs are [c+; x; f; yt], each observer's parts
+one after the other. A state that only hands on what an input was a sample before (v(k-1), v(k-2), ...) is the same for
+all observers and is kept once, as past v; the others are the cores c.
+
+Where effects bend (:attr:`gains.plants.plant.Plant.bends`), those that a fault f has changed bend otherwise: each
+observer adds d = bend(v + f) - bend(v) to the known inputs, f from the sample before. Without it a motor that had lost
+a fifth seemed to be two in flights with more throttle than hover: a fault's column of B is exact at hover alone. The
+proofs of gains leave d out; it is at most the bend of the effect that the fault takes away.
 """
 
 from __future__ import annotations
@@ -45,7 +50,7 @@ class StackLayout:
 
     held: tuple[Held, ...]  # the inputs in past v, by delay
     faults: tuple[int, ...]  # number of faults of each observer
-    step: StepMap  # of [c; v; past v; y; 1; g] and, for the arguments, of the same without g
+    step: StepMap  # of [c; v; past v; y; 1; g; d] and, for the arguments, of the same without g
     # of z: the step without measurements and the first one after it, see :mod:`monitor.estimation.coasting`
     coast: StepMap
     resume: StepMap
@@ -69,7 +74,10 @@ def stack_layout(gains: tuple[Gains, ...]) -> StackLayout:
     at_nu = _starts([len(observer.argument_matrix) for observer in gains])
     cores, nf = at_c[-1], at_f[-1]
     width = cores + s + len(held) + p + 1
-    shape = cores + K * (n + p) + nf, width + at_g[-1] + nf
+    e = s - len(first.inputs)
+    sources = np.array([*range(s), *(past.source for past in held)])
+    estimates = width + at_g[-1] + K * e
+    shape = cores + K * (n + p) + nf, estimates + nf
     maps = [StepMap(np.zeros(shape), np.zeros((at_nu[-1], shape[1]))) for _ in range(3)]
     initial = np.zeros((cores, width - cores))
     v, y = cores + np.arange(s), width - p - 1 + np.arange(p + 1)
@@ -87,15 +95,18 @@ def stack_layout(gains: tuple[Gains, ...]) -> StackLayout:
             state[i] = cores + s + held.index(past)
         affine = np.concatenate([state, v, y])
         columns = np.concatenate([affine, width + np.arange(at_g[k], at_g[k + 1])])
-        known = np.concatenate([columns, width + at_g[-1] + f])
+        known = np.concatenate([columns, estimates + f])
         nu = np.arange(at_nu[k], at_nu[k + 1])
         alone = StepMap(observer.step_matrix, observer.argument_matrix), *coasting_maps(observer)
         for stacked, single in zip(maps, alone, strict=True):
             stacked.step[np.ix_(into, known[: single.step.shape[1]])] = single.step[rows]
             stacked.arguments[np.ix_(nu, known[: single.arguments.shape[1]])] = single.arguments
+            for r in range(e):  # d drives the states as r does that lasted (the taps sum to 1)
+                acting = cores + np.flatnonzero(sources == s - e + r)
+                stacked.step[c, width + at_g[-1] + k * e + r] = stacked.step[np.ix_(c, acting)].sum(axis=1)
         initial[np.ix_(c, np.concatenate([v, y]) - cores)] = observer.initial_matrix[own[k]]
     step, coast, resume = maps
-    step = StepMap(step.step[:, : width + at_g[-1]], step.arguments[:, :width])
+    step = StepMap(step.step[:, :estimates], step.arguments[:, :width])
     return StackLayout(held, tuple(len(observer.faults) for observer in gains), step, coast, resume, initial)
 
 
@@ -286,19 +297,25 @@ class AffineObserver:
         nonlinearities = [g for single in gains for g in single.nonlinearities]
         s = first.known
         entry = {(0, j): j for j in range(s)} | {held: s + i for i, held in enumerate(layout.held)}
+        lagged = np.zeros((s, layout.initial.shape[1]))
+        for (delay, j), at in entry.items():
+            if delay < len(first.input_taps):
+                lagged[j, at] = first.input_taps[delay]
         self._map = AffineMap(
             maps=(layout.step, layout.coast, layout.resume),
             initial=layout.initial,
             curves=first.input_curves,
             bends=first.input_bends,
+            lagged=lagged[: len(first.inputs)],
             newer=np.array([entry[delay - 1, j] for delay, j in layout.held], np.intp),
             source=np.array([j for _, j in layout.held], np.intp),
             functions=[compile_expression(g.expression, g.arguments) for g in nonlinearities],
             spans=np.cumsum([0, *(len(g.arguments) for g in nonlinearities)]),
+            owner=np.repeat(np.arange(len(gains)), layout.faults),
+            scaled=np.array([-1 if source is None else source for single in gains for source in single.fault_inputs]),
             observers=len(gains),
             states=len(first.states),
             outputs=len(first.outputs),
-            faults=sum(layout.faults),
         )
 
     def run(

@@ -136,18 +136,22 @@ class MultirotorFit:
     c: FloatArray  # constant offsets per step (n,)
     taps: FloatArray  # h (L,), sum 1
     square: float  # q, share of the square in the thrust curve
-    bends: FloatArray  # coefficients of u, u^2, ... of what each motor does to the outputs beyond B v (n, s, degree)
+    bends: FloatArray  # coefficients of v, v^2, ... of what each motor does to the outputs beyond B v (n, s, degree)
     residual_std: FloatArray  # one-step prediction error (n,), in the units of y
     samples: int  # number of rows that counted
 
     def effect(self, u: FloatArray) -> FloatArray:
         """Return v(k) of commands ``u`` (N, s) for k = L - 1, ..., N - 2, L the number of taps (max(0, N - L), s)."""
-        return self._acting((1.0 - self.square) * u + self.square * u**2)
+        return self._acting(self._curved(u))
 
     def drive(self, u: FloatArray) -> FloatArray:
         """Return what commands ``u`` (N, s) do to the outputs in these steps (max(0, N - L), n)."""
-        bent = np.einsum("nsd,tsd->tn", self.bends, u[:, :, None] ** np.arange(1, 1 + self.bends.shape[2]))
+        powers = self._curved(u)[:, :, None] ** np.arange(1, 1 + self.bends.shape[2])
+        bent = np.einsum("nsd,tsd->tn", self.bends, powers)
         return self.effect(u) @ self.B.T + self._acting(bent)
+
+    def _curved(self, u: FloatArray) -> FloatArray:
+        return (1.0 - self.square) * u + self.square * u**2
 
     def _acting(self, v: FloatArray) -> FloatArray:
         count = max(0, len(v) - len(self.taps))
@@ -356,13 +360,14 @@ class _Descent:
         thrust = self._curves(0)[0]
         slope = thrust.deriv()(hover)
         B, B_error, of_axes = self.B.copy(), np.empty((3, self.s)), np.empty(3)
-        c, std, drive, bends = np.empty(3), np.empty(3), np.empty(3), np.zeros((len(self.stretches[0].y), self.s, 4))
+        c, std, drive, bends = np.empty(3), np.empty(3), np.empty(3), np.zeros((len(self.stretches[0].y), self.s, 2))
         for o in range(3):
             own, *bent = self._curves(o)
             own_slope = own.deriv()(hover)
             B[o] *= own_slope / slope  # a fault is a change of v: what it does to each axis is exact at hover
-            for curve, effects in (own, self.B[o]), (thrust, -B[o]):
-                bends[o, :, : curve.degree()] += np.outer(effects, curve.coef[1:])
+            if len(bent) > 1:
+                steeper = float(self.shared[4])
+                bends[o] = np.outer(self.B[o], [1.0 - steeper, steeper]) - np.outer(B[o], [1.0, 0.0])
             part = self._places_of(o)[[*range(self.s), *range(-len(bent), 0)]]
             J = np.column_stack([np.diag(own_slope), *(self.B[o] * curve.deriv()(hover) for curve in bent)])
             errors = J @ covariance[np.ix_(part, part)] @ J.T
