@@ -6,7 +6,8 @@ import gc
 import os
 import signal
 import socket
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,8 @@ from hypothesis import settings
 from loopback import Endpoint, free_port
 
 from adapters.message import Message
+from monitor.fitting.capability import Capability
+from monitor.fitting.fitted import BatchSource
 from monitor.profile import Profile, read_profile
 
 DATA = Path(__file__).parent / "data"
@@ -161,23 +164,13 @@ def arm_profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
 
 
 @contextlib.contextmanager
-def unmeasured_fits() -> Iterator[None]:
-    """Fit without measuring what a profile will detect, a third of a fit.
-
-    Tests of capability measure it by motor, a fit of a custom model (test_replay_fit_custom.py) for all channels.
-    """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
-        yield
-
-
-@contextlib.contextmanager
 def plain_fits() -> Iterator[None]:
-    """Fit without measuring either, and without a profile's comparison on data kept back, a fit by itself.
+    """Fit without measuring what a profile will detect, and without its comparison on data kept back, a fit by itself.
 
     Few tests need them.
     """
-    with unmeasured_fits(), pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
         patch.setattr("replay.fit.draw_comparison", lambda *_: None)
         patch.setattr("monitor.vehicles.multirotor.fit.compare_kept_back", lambda *_: None)
         yield
@@ -187,11 +180,18 @@ def plain_fits() -> Iterator[None]:
 def quad_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Fit a profile on the two healthy excerpts with the command a user types."""
     import fauio
+    from replay.sensitivity.capability import measure_capability
+
+    def of_motor2(profile: Profile, logs: Sequence[BatchSource]) -> tuple[Capability, ...]:
+        [observer] = profile.observers
+        alarms = tuple(rule for rule in observer.alarms if rule.channel == "motor2")
+        return measure_capability(replace(profile, observers=(replace(observer, alarms=alarms),)), logs)
 
     def fit(folder: Path) -> None:
         healthy = [str(DATA / f"copter_healthy_{name}.tlog.xz") for name in ("square", "vel_gusty")]
-        with unmeasured_fits(), pytest.MonkeyPatch.context() as patch:
-            # a tenth of the fit: that of the plane has a picture, too
+        with pytest.MonkeyPatch.context() as patch:
+            # All channels take a third of the fit, and the picture, which that of the plane has too, a tenth.
+            patch.setattr("replay.fit.measure_capability", of_motor2)
             patch.setattr("replay.fit.draw_comparison", lambda *_: None)
             assert fauio.main(["fit", "--vehicle", "multirotor", *healthy, "-o", str(folder)]) == 0
 

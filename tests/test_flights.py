@@ -4,6 +4,7 @@ The faults' times and sizes are those that the simulator injected; see tests/dat
 """
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,17 @@ def test_the_uncertainty_of_the_motors_is_reported_and_designed_for(quad_folder:
     plant = read_model(quad_folder / "motors.model.toml")
     rates = zip(plant.disturbances[:3], plant.noises[:3], strict=True)
     assert all(1.0 < disturbance.scale / noise.scale < 1.5 for disturbance, noise in rates)
+
+
+def test_what_the_fit_says_will_be_detected_is_seen_in_a_flight_with_the_fault(
+    quad_folder: Path, flown: dict[str, Replay]
+) -> None:
+    report = json.loads((quad_folder / "fit.json").read_text())["observers"]["motors"]["capability"]
+    alarms = tomllib.loads((quad_folder / "profile.toml").read_text())["observers"]["motors"]["alarms"]
+    assert alarms["motor2"]["sees"] in report["motor2"]["text"]
+    _, loss = FLIGHTS["copter_motor2_080"]
+    within = [limit for limit, size in report["motor2"]["smallest"] if size is not None and size <= loss]
+    assert flown["copter_motor2_080"].events[0].vehicle_time_ms / 1000 - ONSET_S < min(within)
 
 
 def test_a_log_without_motor_commands_is_refused_with_what_is_missing(

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import unmeasured_fits
 
 import fauio
 from adapters.logs.recordings import read_batches
@@ -27,7 +26,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory, data: Path) -> tuple[Path, 
     """Fit a profile with the command a user types; return its folder and what the command said."""
     folder = tmp_path_factory.mktemp("fit") / "plane"
     said = io.StringIO()
-    with contextlib.redirect_stdout(said), unmeasured_fits():
+    with contextlib.redirect_stdout(said):
         assert fauio.main(["fit", "--vehicle", "plane", str(data / "plane_healthy.tlog.xz"), "-o", str(folder)]) == 0
     return folder, said.getvalue()
 
