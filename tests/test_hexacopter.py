@@ -12,6 +12,7 @@ from hexacopter import hexacopter_flight
 
 from adapters.logs.recordings import packed
 from adapters.message import Message
+from monitor.estimation.isolation_rule import BankRule
 from monitor.event import AlarmEvent
 from monitor.profile import Profile, read_profile
 from replay.fit import fit_profile
@@ -56,6 +57,11 @@ def test_a_failing_motor_is_named_at_the_rates_of_logs_and_radios(
     assert {event.channel for event in named} == {"motor3"}
     assert 0.0 < seconds_after(named[0], 30.0) < within_s
     assert named[-1].state == "cleared"
+    for observer in slow.observers:
+        for alarm in observer.alarms:
+            if alarm.channel == "unexplained" and isinstance(observer.isolation, BankRule):
+                # Nothing that no motor explains goes unsaid.
+                assert alarm.threshold == pytest.approx(observer.isolation.score_floor, rel=1e-3)
 
 
 def test_a_hover_alone_makes_a_profile_that_takes_no_turn_for_a_lost_motor(tmp_path: Path) -> None:

@@ -232,12 +232,21 @@ def bare_rule(observer: str, channel: str, kind: str, unit: str) -> AlarmRule:
 
 
 def unexplained_alarm(
-    observer: str, evidence: Sequence[NDArray[np.float64]], rate_hz: float, alarms_per_hour: float, floor: float
+    observer: str,
+    evidence: Sequence[NDArray[np.float64]],
+    rate_hz: float,
+    alarms_per_hour: float,
+    floor: float,
+    times: Times,
 ) -> Calibrated:
-    """Return a bank's alarm that no hypothesis explains the data, from healthy evidence (its last column)."""
-    scores = healthy_levels([stretch[:, -1] for stretch in evidence], rate_hz, alarms_per_hour, _UNEXPLAINED)
+    """Return a bank's alarm that no hypothesis explains the data, from healthy evidence (its last column).
+
+    ``floor`` is the score from which none explains them; its evidence lasts no less than that of a fault (``times``).
+    """
+    lasting = replace(_UNEXPLAINED, raise_s=max(_UNEXPLAINED.raise_s, times.raise_s))
+    scores = healthy_levels([stretch[:, -1] for stretch in evidence], rate_hz, alarms_per_hour, lasting)
     bare = bare_rule(observer, UNEXPLAINED, "residual", "times healthy")
-    return plain_only(calibrated(bare, scores, 1.0, floor=floor, critical=5 * floor, times=_UNEXPLAINED))
+    return plain_only(calibrated(bare, scores, 1.0, floor=floor, critical=5 * floor, times=lasting))
 
 
 def _alarm_report(found: Calibrated) -> dict[str, float | int | str]:

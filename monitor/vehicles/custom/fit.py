@@ -179,7 +179,7 @@ def _alarms(bare: Fitted, evidence: Sequence[NDArray[np.float64]], declared: Col
         rule = bare_rule(bare.name, channel.name, channel.kind, channel.unit)
         alarms.append(calibrated(rule, found, 1.0, floor=least, critical=critical, times=times))
     if isinstance(bare.isolation, BankRule):
-        alarms.append(unexplained_alarm(bare.name, evidence, rate_hz, share, bare.isolation.score_floor))
+        alarms.append(unexplained_alarm(bare.name, evidence, rate_hz, share, bare.isolation.score_floor, times))
     return alarms
 
 

@@ -578,10 +578,7 @@ def _alarms(
     nats: ReturnLevel | None,
     lasting: tuple[Scatter, float] | None,
 ) -> list[Calibrated]:
-    """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and unexplained residuals.
-
-    The last one starts above the residuals that a loss too small for an alarm can cause.
-    """
+    """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and unexplained residuals."""
     rate_hz = identified.model.rate_hz
     share = FALSE_ALARMS_PER_HOUR / (len(channels) + 1)
     commands = [watched.get(channel.name) for channel in channels]
@@ -608,8 +605,7 @@ def _alarms(
         elif of_gyros is not None:
             jump = calibrated(bare, of_gyros, 1.0, floor=_SMALLEST_JUMP, critical=4 * _SMALLEST_JUMP, times=_JUMP)
             alarms.append(plain_only(jump))
-    floor = score_floor * identified.smallest_loss / _SMALLEST_LOSS
-    return [*alarms, unexplained_alarm(observer, evidence, rate_hz, share, floor)]
+    return [*alarms, unexplained_alarm(observer, evidence, rate_hz, share, score_floor, identified.times)]
 
 
 def _findings(model: MultirotorFit, motors: Sequence[str], uncertainty: MotorUncertainty) -> dict[str, object]:
