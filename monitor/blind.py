@@ -335,12 +335,12 @@ class BlindAlarm:
         replay, which does not have the rest.
         """
         before = self._slot
-        events = self._look(now_ns, vehicle_ns, flying, contested)
+        events = self._look(now_ns, vehicle_ns, flying, contested, recorded)
         if not (events or recorded):
             self._slot = before
         return events
 
-    def _look(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> list[AlarmEvent]:
+    def _look(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool, recorded: bool) -> list[AlarmEvent]:
         if not self._started:
             self._started = True
             self.wait_from(now_ns)
@@ -367,6 +367,8 @@ class BlindAlarm:
             return [self._clear(active, now_ns, vehicle_ns, _AGAIN if flying else "the vehicle is no longer in flight")]
         late = [flow for flow in needed if lacks[flow.name]]
         if all(flow.settles(now_ns, contested) for flow in late):
+            if active is None and not recorded:
+                return []
             for flow in late:
                 flow.grant()
             longest_s = max(flow.settle_ns for flow in late) / 1e9

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -253,6 +253,31 @@ def test_an_observer_so_slow_that_it_has_no_sample_yet_is_waited_for(rate_hz: fl
     assert flow.awaits(2**60 + 10**9 + round(1e9 * granted_s) - 1)
 
 
+def told_the_time(profile: Profile, kept: Sequence[Message], step_ns: Callable[[], int]) -> list[AlarmEvent]:
+    """Return the events of messages between which time passes; those are the same without what caused no event."""
+    pipeline, waiting = Pipeline(profile), list[Message]()
+    recorded, events = list[Message](), list[AlarmEvent]()
+    for before, message in pairwise(kept):
+        waiting.append(before)
+        for now_ns in range(before.received_ns + 10**8, message.received_ns - 10**7, step_ns()):
+            events += events_of(profile, waiting, pipeline)
+            recorded += waiting
+            waiting = []
+            if caused := events_of(profile, [silence(now_ns)], pipeline):
+                events += caused
+                recorded.append(silence(now_ns))
+    events += events_of(profile, waiting, pipeline)
+    assert events_of(profile, [*recorded, *waiting]) == events
+    return events
+
+
+def test_time_that_passes_as_estimates_settle_leaves_no_trace(bundled_quad: Profile, flight: list[Message]) -> None:
+    """The motors, which begin anew 3.5 s after their last evidence, have settled when messages come again."""
+    kept = without(flight, ["ATTITUDE", "HIGHRES_IMU", "GPS_RAW_INT"], 15.0, 18.5)
+    names = list({message.name for message in flight})
+    assert told_the_time(bundled_quad, without(kept, names, 19.5, 21.4), lambda: 4 * 10**7)
+
+
 @pytest.mark.parametrize("seed", [5, 7])
 def test_passing_time_that_causes_no_event_leaves_no_trace(
     bundled_quad: Profile, flight: list[Message], seed: int
@@ -263,19 +288,7 @@ def test_passing_time_that_causes_no_event_leaves_no_trace(
     kept = [m for m in flight if (s := (m.received_ns - start_ns) / 1e9) < 9.0 or s % period_s >= share * period_s]
     for name in names:
         kept = without(kept, [name], begin_s := rng.uniform(9.0, 18.0), begin_s + rng.uniform(2.0, 8.0))
-    pipeline, waiting = Pipeline(profile), list[Message]()
-    recorded, events = list[Message](), list[AlarmEvent]()
-    for before, message in pairwise(kept):
-        waiting.append(before)
-        for now_ns in range(before.received_ns + 10**8, message.received_ns - 10**7, rng.randint(2, 6) * 10**7):
-            events += events_of(profile, waiting, pipeline)
-            recorded += waiting
-            waiting = []
-            if caused := events_of(profile, [silence(now_ns)], pipeline):
-                events += caused
-                recorded.append(silence(now_ns))
-    events += events_of(profile, waiting, pipeline)
-    assert events_of(profile, [*recorded, *waiting]) == events
+    events = told_the_time(profile, kept, lambda: rng.randint(2, 6) * 10**7)
     assert "blind" in [event.channel for event in events]
 
 
