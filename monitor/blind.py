@@ -368,6 +368,7 @@ class BlindAlarm:
         late = [flow for flow in needed if lacks[flow.name]]
         if all(flow.settles(now_ns, contested) for flow in late):
             if active is None and not recorded:
+                # A replay does not have this moment: the time to settle is granted at the next one that it has.
                 return []
             for flow in late:
                 flow.grant()
